@@ -1,0 +1,1 @@
+"""Reading rasters by window and writing tiled GeoTIFF."""

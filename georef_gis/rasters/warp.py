@@ -1,0 +1,164 @@
+"""Photos as sources of pixels: decoded once, kept within a memory budget, resampled by a mesh."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.frames import Array
+from georef_gis.model.grid import Grid, Window
+from georef_gis.model.mesh import Ground, node_positions
+from georef_gis.model.photo import OrientedPhoto
+from georef_gis.rasters.reading import read_image
+
+Image = NDArray[np.integer[Any] | np.floating[Any]]
+Mask = NDArray[np.bool_]
+
+# bytes; what decoded photos may take together
+CACHE_BYTES = 280_000_000
+# Decoders reduce by these; a photo is reduced when the grid is at least this much coarser.
+REDUCTIONS = (8, 4, 2)
+
+
+class ImageCache:
+    """Decoded photos, least recently used ones dropped beyond the budget; safe for threads.
+
+    Parameters
+    ----------
+    budget
+        Bytes to keep; one image is kept whatever its size.
+    read
+        `read(path, reduce) -> (rows, cols, bands)`.
+    """
+
+    def __init__(
+        self,
+        *,
+        budget: int = CACHE_BYTES,
+        read: Callable[[Path, int], Image] | None = None,
+    ) -> None:
+        self._budget = budget
+        self._read = read or (lambda path, reduce: read_image(path, reduce=reduce))
+        self._images: OrderedDict[tuple[Path, int], Image] = OrderedDict()
+        self._lock = threading.Lock()
+        self.decodes = 0
+
+    def get(self, path: Path, reduce: int = 1) -> Image:
+        """Pixels of a photo as stored, reduced by 1, 2, 4 or 8."""
+        key = (path, reduce)
+        with self._lock:
+            if key in self._images:
+                self._images.move_to_end(key)
+                return self._images[key]
+        image = self._read(path, reduce)
+        with self._lock:
+            self.decodes += 1
+            self._images[key] = image
+            while len(self._images) > 1 and self._bytes() > self._budget:
+                self._images.popitem(last=False)
+        return image
+
+    def _bytes(self) -> int:
+        return sum(image.nbytes for image in self._images.values())
+
+
+def reduction_for(gsd: float, gsd_photo: float) -> int:
+    """By how much a photo may be reduced before it is resampled to a grid of `gsd`, m."""
+    return next((r for r in REDUCTIONS if gsd >= gsd_photo * r), 1)
+
+
+def upsample(mesh: Array, step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Bilinear values at every pixel of a window from its mesh (see `node_positions`).
+
+    Parameters
+    ----------
+    mesh : shape (rows, cols) or (rows, cols, 2)
+        One node per cell of `step` pixels and a ring around.
+    shape
+        Rows and columns of the window.
+    """
+    small = np.ascontiguousarray(mesh, dtype=np.float32)
+    size = (small.shape[1] * step, small.shape[0] * step)
+    large = small if step == 1 else cv2.resize(small, size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(large[step : step + shape[0], step : step + shape[1]], dtype=np.float32)
+
+
+def inside_image(uv: NDArray[np.float32], width: int, height: int) -> Mask:
+    """Which positions lie within an image's outer edge; shape (rows, cols, 2) -> (rows, cols)."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(
+            (uv[..., 0] >= -0.5) & (uv[..., 1] >= -0.5)
+            & (uv[..., 0] <= width - 0.5) & (uv[..., 1] <= height - 0.5)
+        )  # fmt: skip
+
+
+def sample(image: Image, uv: NDArray[np.float32], *, reduce: int = 1) -> Image:
+    """Bilinear samples of an image at full-resolution pixel positions; (rows, cols, bands).
+
+    At the rim the outermost half pixel is repeated; what lies outside must be masked by the
+    caller.
+    """
+    if reduce > 1:
+        uv = (uv + np.float32(0.5)) / np.float32(reduce) - np.float32(0.5)
+    image, offset = _crop_for_remap(image, uv)
+    if offset is not None:
+        uv = uv - offset
+    # None, which OpenCV's type stubs do not allow, and not an empty array: that is taken for a map.
+    no_second_map: Any = None
+    out: Image = cv2.remap(
+        image, uv, no_second_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return out if out.ndim == 3 else out[..., None]
+
+
+def _crop_for_remap(
+    image: Image, uv: NDArray[np.float32]
+) -> tuple[Image, NDArray[np.float32] | None]:
+    """Part of an image that OpenCV's 16-bit remap can address, and its offset."""
+    limit = 32000
+    if max(image.shape[:2]) < limit:
+        return image, None
+    low = np.floor(np.nanmin(uv.reshape(-1, 2), axis=0)).astype(int) - 2
+    high = np.ceil(np.nanmax(uv.reshape(-1, 2), axis=0)).astype(int) + 3
+    c0, r0 = (int(min(max(v, 0), s - 1)) for v, s in zip(low, image.shape[1::-1], strict=True))
+    c1, r1 = (int(min(v, o + limit)) for v, o in zip(high, (c0, r0), strict=True))
+    part = np.ascontiguousarray(image[r0 : max(r1, r0 + 1), c0 : max(c1, c0 + 1)])
+    return part, np.array([c0, r0], dtype=np.float32)
+
+
+def warp_window(
+    photo: OrientedPhoto,
+    image: Image,
+    ground: Ground,
+    grid: Grid,
+    window: Window,
+    *,
+    step: int,
+    reduce: int = 1,
+) -> tuple[Image, Mask | None] | None:
+    """A photo's pixels on a window of a grid.
+
+    Returns
+    -------
+    data : shape (rows, cols, bands)
+    mask : shape (rows, cols) or None
+        Where the photo shows the ground; None = everywhere.
+        The pair is None where the photo does not reach the window.
+    """
+    uv_mesh = photo.project(ground.enu_at(grid, node_positions(window, step)))
+    uv = upsample(uv_mesh, step, (window.height, window.width))
+    mask = inside_image(uv, photo.camera.width, photo.camera.height)
+    if not mask.any():
+        return None
+    data = sample(image, uv, reduce=reduce)
+    if mask.all():
+        return data, None
+    data[~mask] = 0
+    return data, mask
