@@ -1,0 +1,339 @@
+"""project.toml: what the user says. Every key is optional; its description is the comment."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from georef_gis.errors import InputError
+
+HeightKind = Literal["auto", "ellipsoidal", "orthometric", "above_ground", "unknown"]
+
+
+class Section(BaseModel):
+    """A table of project.toml; degrees, millimetres and the like stand in the key."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+
+class ProjectSection(Section):
+    """The site as a whole."""
+
+    name: str = Field(default="", description="Name of the site, for titles")
+    crs: str = Field(
+        default="auto",
+        description='Map CRS of all products: "auto" (UTM), "EPSG:6549" '
+        "(State Plane in US survey feet is fine), or a file with WKT",
+    )
+    datum_output: str = Field(
+        default="auto",
+        description="Datum of the products as realisation and epoch, "
+        'such as "NAD83(2011)@2010.0"; "auto" = that of the CRS',
+    )
+    seed: int = Field(default=0, ge=0, description="Seed of every random choice")
+
+
+class PhotosSection(Section):
+    """Which files are the photos."""
+
+    folder: Path = Field(
+        default=Path("photos"), description="Folder of the photos, relative to this file"
+    )
+    patterns: tuple[str, ...] = Field(
+        default=("*.jpg", "*.jpeg", "*.tif", "*.tiff"),
+        description="File names to take, in either case of letters",
+    )
+    exclude: tuple[str, ...] = Field(default=(), description="File names to leave out")
+    subfolders: bool = Field(default=False, description="Look into subfolders too")
+
+
+class CameraSection(Section):
+    """Interior orientation, where the user knows better than the tags.
+
+    A table [cameras."MODEL"] with the same keys holds for one camera only.
+    """
+
+    focal_px: float | None = Field(
+        default=None, gt=0, description="Focal length, px of the photos as read"
+    )
+    focal_mm: float | None = Field(
+        default=None, gt=0, description="Focal length, mm (with sensor_width_mm)"
+    )
+    sensor_width_mm: float | None = Field(default=None, gt=0, description="Width of the sensor, mm")
+    model: str | None = Field(default=None, description='Lens model: "brown" or "fisheye"')
+    fx: float | None = Field(default=None, gt=0, description="Focal length along u, px")
+    fy: float | None = Field(default=None, gt=0, description="Focal length along v, px")
+    cx: float | None = Field(
+        default=None, description="Principal point u, px; 0 = centre of first pixel"
+    )
+    cy: float | None = Field(default=None, description="Principal point v, px")
+    k1: float | None = Field(
+        default=None, description="Radial distortion, ideal to distorted (OpenCV)"
+    )
+    k2: float | None = Field(default=None, description="Radial distortion")
+    k3: float | None = Field(default=None, description="Radial distortion")
+    k4: float | None = Field(default=None, description="Radial distortion of a fisheye")
+    p1: float | None = Field(default=None, description="Decentring distortion")
+    p2: float | None = Field(default=None, description="Decentring distortion")
+    b1: float | None = Field(default=None, description="fx - fy, px")
+    b2: float | None = Field(default=None, description="Skew, px")
+    resized_from: tuple[int, int] | None = Field(
+        default=None, description="Width and height in px before the photos were made smaller"
+    )
+    cropped_from: tuple[int, int, int, int] | None = Field(
+        default=None,
+        description="Full width and height, then column and row of the crop's first pixel, px",
+    )
+    readout_s: float | None = Field(
+        default=None, ge=0, description="Time to read the sensor, s; 0 for a mechanical shutter"
+    )
+    sigma_focal_percent: float | None = Field(
+        default=None, gt=0, description="One sigma of the focal length, %"
+    )
+
+
+class MountSection(Section):
+    """How the camera sits on the vehicle: vectors from the IMU, forward right down."""
+
+    lever_arm_camera_m: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="IMU to camera, body axes, m"
+    )
+    lever_arm_antenna_m: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="IMU to GNSS antenna, body axes, m"
+    )
+    sigma_lever_arm_m: float = Field(default=0.05, gt=0, description="One sigma of a lever arm, m")
+    boresight_deg: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Small rotation of the camera, vector in body axes, deg",
+    )
+    sigma_boresight_deg: float = Field(
+        default=1.0, gt=0, description="One sigma of the boresight, deg"
+    )
+
+
+class GnssSection(Section):
+    """Positions in the tags or logs."""
+
+    datum: str = Field(
+        default="unknown",
+        description='Realisation and epoch, such as "ITRF2020@2026.4"; "unknown" adds 2 m of sigma',
+    )
+    height_kind: HeightKind = Field(
+        default="auto",
+        description='"auto" (as the maker does), "ellipsoidal", "orthometric", "above_ground"',
+    )
+    geoid: str = Field(default="egm96", description="Geoid of orthometric heights")
+    position_of: Literal["auto", "antenna", "camera"] = Field(
+        default="auto", description='What a tag\'s position is of: "auto", "antenna" or "camera"'
+    )
+    sigma_h_m: float | None = Field(
+        default=None, gt=0, description="One sigma in east and north, m; from the tags, else 3"
+    )
+    sigma_v_m: float | None = Field(
+        default=None, gt=0, description="One sigma of the height, m; from the tags, else 6"
+    )
+
+
+class AttitudeSection(Section):
+    """Angles in the tags or logs."""
+
+    dialect: str = Field(
+        default="auto",
+        description='Convention of the angles: "auto", or a name of the table in docs/dialects.md',
+    )
+    yaw_source: Literal["auto", "gimbal", "flight", "course"] = Field(
+        default="auto", description='"auto", "gimbal", "flight" or "course" (made good)'
+    )
+    sigma_roll_pitch_deg: float | None = Field(
+        default=None, gt=0, description="One sigma of roll and pitch, deg; by dialect"
+    )
+    sigma_yaw_deg: float | None = Field(
+        default=None, gt=0, description="One sigma of yaw, deg; by dialect"
+    )
+    rotate_photos: dict[str, Literal[0, 90, 180, 270]] = Field(
+        default_factory=dict,
+        description="Photos whose pixels were turned after the flight, "
+        'degrees clockwise, such as {"DJI_0024.JPG" = 180}',
+    )
+
+
+class GroundSection(Section):
+    """Where the ground is: a DEM, or one height."""
+
+    dem: Path | None = Field(default=None, description="Raster of ground heights")
+    dem_height_kind: HeightKind = Field(
+        default="auto",
+        description='Kind of the DEM\'s heights: "auto", "ellipsoidal", "orthometric"',
+    )
+    height_m: float | None = Field(default=None, description="One height of the ground, m")
+    height_kind: HeightKind = Field(default="orthometric", description="Kind of height_m")
+    height_above_ground_m: float | None = Field(
+        default=None, gt=0, description="Flying height above ground, m, where the tags have none"
+    )
+    sigma_m: float | None = Field(
+        default=None, gt=0, description="One sigma of the ground's height, m"
+    )
+
+
+class PosesSection(Section):
+    """Positions and angles from a file instead of the tags."""
+
+    file: Path | None = Field(
+        default=None, description="ODM geo.txt, or reference CSV of Metashape, Pix4D"
+    )
+    format: Literal["auto", "odm", "metashape", "pix4d", "orthority"] = Field(
+        default="auto", description='"auto", "odm", "metashape", "pix4d" or "orthority"'
+    )
+    crs: str | None = Field(default=None, description="CRS of the file if it does not say")
+
+
+class ControlSection(Section):
+    """Control and check points."""
+
+    file: Path | None = Field(default=None, description="Points (control.csv)")
+    marks: Path | None = Field(default=None, description="Their pixels in the photos (marks.csv)")
+    datum: str = Field(default="auto", description='Datum of the points; "auto" = as the file says')
+
+
+class LogsSection(Section):
+    """Logs of the flight."""
+
+    imu: Path | None = Field(default=None, description="IMU log (imu.csv)")
+    gnss: Path | None = Field(default=None, description="GNSS log (gnss.csv)")
+    sync: Path | None = Field(default=None, description="Sync-board log")
+    camera_clock_offset_s: float | None = Field(
+        default=None, description="Camera clock to navigation clock, s, if known"
+    )
+
+
+class ProductsSection(Section):
+    """What to make."""
+
+    gsd_m: float | None = Field(
+        default=None, gt=0, description="Ground sample distance, m; from the photos"
+    )
+    orthos: bool = Field(default=True, description="One orthorectified GeoTIFF per photo")
+    mosaic: bool = Field(default=True, description="One seamless mosaic")
+    compression: Literal["jpeg", "deflate", "zstd", "webp"] = Field(
+        default="jpeg", description='"jpeg", "webp" (lossy), "deflate" or "zstd" (exact)'
+    )
+    band_names: tuple[str, ...] = Field(
+        default=(),
+        description='Names of the bands, such as ["NIR", "green", "blue"]; "auto" by count',
+    )
+    quality: int = Field(default=85, ge=1, le=100, description="Of a lossy compression, 1 to 100")
+    max_tilt_deg: float = Field(
+        default=60.0, gt=0, lt=90, description="Rays farther off nadir are left out"
+    )
+
+
+class Settings(Section):
+    """All of project.toml."""
+
+    project: ProjectSection = ProjectSection()
+    photos: PhotosSection = PhotosSection()
+    camera: CameraSection = CameraSection()
+    cameras: dict[str, CameraSection] = Field(default_factory=dict)
+    mount: MountSection = MountSection()
+    gnss: GnssSection = GnssSection()
+    attitude: AttitudeSection = AttitudeSection()
+    ground: GroundSection = GroundSection()
+    poses: PosesSection = PosesSection()
+    control: ControlSection = ControlSection()
+    logs: LogsSection = LogsSection()
+    products: ProductsSection = ProductsSection()
+    tools: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    def camera_of(self, *names: str) -> CameraSection:
+        """Camera settings for the first of the names that has a table of its own.
+
+        What [cameras."NAME"] leaves out is taken from [camera].
+        """
+        for name in names:
+            if name in self.cameras:
+                own = self.cameras[name].model_dump(exclude_unset=True)
+                return CameraSection(**(self.camera.model_dump(exclude_unset=True) | own))
+        return self.camera
+
+    def section(self, name: str) -> dict[str, Any]:
+        """JSON-able values of one section, for fingerprints and records."""
+        value = getattr(self, name)
+        if isinstance(value, BaseModel):
+            return value.model_dump(mode="json")
+        return {key: item.model_dump(mode="json") for key, item in value.items()}
+
+
+SECTIONS = tuple(name for name in Settings.model_fields if name != "tools")
+
+
+def read_settings(path: Path) -> Settings:
+    """Settings of a project.toml.
+
+    Raises
+    ------
+    InputError
+        Unreadable, not TOML, an unknown key or an unfit value; one line on the first.
+    """
+    try:
+        with path.open("rb") as stream:
+            return Settings.model_validate(tomllib.load(stream))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", source=str(path)) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"is not valid TOML: {error}", source=str(path)) from error
+    except ValidationError as error:
+        raise _settings_error(error, path) from error
+
+
+def _settings_error(error: ValidationError, path: Path) -> InputError:
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    location = [str(part) for part in first["loc"]]
+    if first["type"] == "extra_forbidden":
+        message = f"unknown key{_nearest(location)}"
+    else:
+        field = _description(location)
+        cure = f" ({field})" if field else ""
+        message = f"{first['input']!r}: {first['msg'].lower()}{cure}"
+    if len(problems) > 1:
+        message += f" (and {len(problems) - 1} more)"
+    return InputError(message, source=str(path), field=".".join(location))
+
+
+def _model_at(location: list[str]) -> type[BaseModel] | None:
+    """Model that holds the last key of a location."""
+    if len(location) == 1:
+        return Settings
+    field = Settings.model_fields.get(location[0])
+    for part in (field.annotation, *get_args(field.annotation)) if field else ():
+        if isinstance(part, type) and issubclass(part, Section):
+            return part
+    return None
+
+
+def _nearest(location: list[str]) -> str:
+    from difflib import get_close_matches
+
+    model = _model_at(location)
+    if model is None:
+        return ""
+    here = {key: key for key in model.model_fields}
+    everywhere = {
+        key: f"{name}.{key}"
+        for name in SECTIONS
+        for key in (getattr(_model_at([name, ""]), "model_fields", None) or ())
+    }
+    for keys in (here, everywhere):
+        close = get_close_matches(location[-1], list(keys), n=1, cutoff=0.6)
+        if close:
+            return f"; did you mean {keys[close[0]]}?"
+    return f"; valid keys: {', '.join(here)}"
+
+
+def _description(location: list[str]) -> str:
+    model = _model_at(location[:2])
+    field = model.model_fields.get(location[1]) if model and len(location) > 1 else None
+    return (field.description or "") if field else ""
