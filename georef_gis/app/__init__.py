@@ -1,0 +1,1 @@
+"""Faces only, no geometry: command line and doctor."""

@@ -1,0 +1,351 @@
+"""The command line, made from the manifest of the tools: ``georef``."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from georef_gis import __version__
+from georef_gis.app.feedback import JsonFeedback, PlainFeedback, Stop, make_feedback
+from georef_gis.errors import Cancelled, GeorefError, InputError
+
+if TYPE_CHECKING:
+    from georef_gis.toolbox.registry import Registry, Tool
+    from georef_gis.toolbox.runner import RunOptions, StepReport
+    from georef_gis.toolbox.specs import Spec
+
+DONE, BUG, USER_ERROR, CANCELLED = 0, 1, 2, 130
+BUILT_IN = ("run", "tools", "doctor")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Face:
+    """How a command talks: the options every command has."""
+
+    as_json: bool
+    verbose: int
+
+
+class Tools(click.Group):
+    """Commands of the application, and one for every tool; made when asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all commands."""
+        registry = _registry()
+        return [*BUILT_IN, *(registry.command(tool) for tool in registry)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Make the command of a name."""
+        if cmd_name in self.commands:
+            return self.commands[cmd_name]
+        return tool_command(_registry().find(cmd_name))
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run a command; what is wrong with its words is one line, as every error."""
+        kwargs["standalone_mode"] = False
+        try:
+            sys.exit(super().main(*args, **kwargs) or DONE)
+        except click.UsageError as error:
+            path = error.ctx.command_path if error.ctx else "georef"
+            _fail(f"{error.format_message().rstrip('.')}; see `{path} --help`", USER_ERROR)
+        except GeorefError as error:
+            _fail(str(error), USER_ERROR)
+        except click.ClickException as error:
+            _fail(error.format_message(), USER_ERROR)
+        except click.Abort:
+            _fail("cancelled", CANCELLED)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the tools by group."""
+        with formatter.section("Commands"):
+            built_in = [(name, self.commands[name].get_short_help_str(70)) for name in BUILT_IN]
+            formatter.write_dl(built_in)
+        registry = _registry()
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for tool in registry:
+            line = (registry.command(tool), tool.algorithm.summary())
+            groups.setdefault(tool.algorithm.group, []).append(line)
+        for group, lines in groups.items():
+            with formatter.section(f"Tools: {group}"):
+                formatter.write_dl(lines)
+
+
+def _registry() -> Registry:
+    from georef_gis.toolbox.registry import load_registry
+
+    return load_registry()
+
+
+@click.group(
+    cls=Tools,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.version_option(__version__, prog_name="georef")
+@click.pass_context
+def georef(ctx: click.Context) -> None:
+    """From UAV photos to orthos, mosaics and measurements, each with how far to trust it.
+
+    Begin with `georef init photos/`, then `georef run .`
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+def face_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that every command has."""
+    function = click.option("--json", "as_json", is_flag=True, help="Talk in lines of JSON.")(
+        function
+    )
+    return click.option("-v", "--verbose", count=True, help="Say more; -vv for developers.")(
+        function
+    )
+
+
+@georef.command(short_help="Make the products: all steps that are not up to date.")
+@click.argument("project", default=".", type=click.Path(path_type=Path))
+@click.option("--quick", is_flag=True, help="A first answer, from the poses alone.")
+@click.option("--only", metavar="ID[,ID]", default="", help="Only these steps.")
+@click.option("--from", "start", metavar="ID", default="", help="From this step on.")
+@click.option("--force", is_flag=True, help="Run steps that are up to date too.")
+@click.option("--verify", is_flag=True, help="Hash all of the inputs and products.")
+@click.option(
+    "--set",
+    "values",
+    metavar="ID.NAME=VALUE",
+    multiple=True,
+    help="Parameter of a step, before those in project.toml.",
+)
+@click.option("--workers", type=click.IntRange(1), help="Number of processes.")
+@click.option("--seed", type=int, help="Of every random choice.")
+@face_options
+def run(project: Path, as_json: bool, verbose: int, values: tuple[str, ...], **wishes: Any) -> None:
+    """Make the products of PROJECT, a folder with a project.toml.
+
+    Steps whose inputs, settings and products did not change are skipped.
+    """
+    face = Face(as_json=as_json, verbose=verbose)
+    with _facing(face) as feedback:
+        from georef_gis.app.report import report_event, run_lines
+        from georef_gis.project import Project
+        from georef_gis.toolbox.runner import run_pipeline
+
+        wishes["only"] = tuple(name for name in wishes["only"].split(",") if name)
+        given, options = _settings(values), _options(wishes)
+        found = Project.open(project)
+        reports = run_pipeline(_registry(), found, feedback, values=given, options=options)
+        _finish(
+            feedback,
+            [report_event(report) for report in reports],
+            run_lines(reports, found.folder / "georef.gpkg"),
+        )
+
+
+@georef.command(short_help="List the tools.")
+@click.option("--json", "as_json", is_flag=True, help="The manifest: every tool with its form.")
+def tools(as_json: bool) -> None:
+    """List the tools, with the steps of `georef run` marked by a star."""
+    with _facing(Face(as_json=as_json, verbose=0)):
+        registry = _registry()
+        if as_json:
+            from georef_gis.toolbox.algorithm import manifest
+
+            content = manifest((tool.provider, tool.algorithm) for tool in registry)
+            click.echo(json.dumps(content, indent=1))
+            return
+        for tool in registry:
+            star = "*" if tool.algorithm.in_run else " "
+            click.echo(f"{star} {registry.command(tool):<24} {tool.algorithm.summary()}")
+        if registry.refused:
+            click.echo(f"{len(registry.refused)} refused; see `georef doctor`", err=True)
+
+
+@georef.command(short_help="Look at the installation.")
+@click.argument("folder", default=".", type=click.Path(path_type=Path))
+@face_options
+def doctor(folder: Path, as_json: bool, verbose: int) -> None:
+    """Look at the installation, the plug-ins and the place to work in.
+
+    FOLDER is where a project would be. Exit code 2 if something would keep work from being done.
+    """
+    with _facing(Face(as_json=as_json, verbose=verbose)):
+        from georef_gis.app.doctor import examine
+
+        findings = examine(_registry(), folder)
+        if as_json:
+            click.echo(json.dumps([finding.content() for finding in findings], indent=1))
+        else:
+            for finding in findings:
+                click.echo(finding.line())
+        if any(finding.state == "bad" for finding in findings):
+            sys.exit(USER_ERROR)
+
+
+def tool_command(tool: Tool) -> click.Command:
+    """Make the command of a tool from its declaration."""
+    specs = tool.algorithm.Parameters.specs()
+    parameters = [_parameter(spec) for spec in specs]
+    if tool.algorithm.needs_project:
+        parameters.append(
+            click.Option(
+                ["--project", "_project"],
+                default=".",
+                show_default=True,
+                metavar="FOLDER",
+                help="Folder of the project.",
+            )
+        )
+    parameters += [
+        click.Option(["--force", "_force"], is_flag=True, help="Run it though it is up to date."),
+        click.Option(["--workers", "_workers"], type=click.IntRange(1), help="Processes to use."),
+        click.Option(["--seed", "_seed"], type=int, help="Of every random choice."),
+        click.Option(["--json", "_json"], is_flag=True, help="Talk in lines of JSON."),
+        click.Option(["-v", "--verbose", "_verbose"], count=True, help="Say more."),
+    ]
+    return click.Command(
+        name=_registry().command(tool),
+        params=parameters,
+        help=tool.algorithm.help(),
+        short_help=tool.algorithm.summary(),
+        callback=lambda **values: _run_tool(tool, specs, values),
+    )
+
+
+def _run_tool(tool: Tool, specs: Sequence[Spec], values: dict[str, Any]) -> None:
+    face = Face(as_json=values["_json"], verbose=values["_verbose"])
+    with _facing(face) as feedback:
+        from georef_gis.app.report import report_event, tool_lines
+        from georef_gis.project import Project
+        from georef_gis.toolbox.runner import run_tool
+
+        given = {
+            spec.name: values[spec.name] for spec in specs if values[spec.name] not in (None, ())
+        }
+        project = Project.open(values["_project"]) if tool.algorithm.needs_project else None
+        wishes = {key: values[f"_{key}"] for key in ("force", "workers", "seed")}
+        report: StepReport = run_tool(
+            _registry(), tool.full_id, given, feedback, project=project, options=_options(wishes)
+        )
+        _finish(feedback, [report_event(report)], tool_lines(report))
+
+
+def _parameter(spec: Spec) -> click.Parameter:
+    if spec.positional:
+        many = -1 if spec.multiple or spec.kind == "PhotoSet" else 1
+        return click.Argument(
+            [spec.name], required=spec.required, nargs=many, metavar=spec.name.upper()
+        )
+    name = f"--{spec.option}"
+    if spec.kind == "Flag":
+        return click.Option(
+            [f"{name}/--no-{spec.option}", spec.name], default=None, help=_help(spec)
+        )
+    return click.Option(
+        [name, spec.name],
+        required=spec.required,
+        multiple=spec.multiple or spec.kind == "PhotoSet",
+        metavar="|".join(spec.choices) or spec.kind.upper(),
+        help=_help(spec),
+    )
+
+
+def _help(spec: Spec) -> str:
+    notes = [spec.limits() or spec.unit]
+    if spec.default not in (None, [], ""):
+        shown = (
+            ", ".join(map(str, spec.default)) if isinstance(spec.default, list) else spec.default
+        )
+        unit = f" {spec.unit}" if spec.unit else ""
+        notes.append(f"default {shown}{unit}")
+    if spec.advanced:
+        notes.append("advanced")
+    text = f"{spec.title}. {spec.help}".strip()
+    noted = "; ".join(note for note in notes if note)
+    return f"{text} [{noted}]" if noted else text
+
+
+def _options(wishes: dict[str, Any]) -> RunOptions:
+    from georef_gis.toolbox.runner import RunOptions
+
+    return RunOptions(**{key: value for key, value in wishes.items() if value is not None})
+
+
+def _settings(texts: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Parameters of steps from texts such as ``orthos.gsd=2cm``."""
+    values: dict[str, dict[str, str]] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        tool, dot, parameter = name.rpartition(".")
+        if not (equals and dot and tool and parameter):
+            raise InputError(f"{text!r} is not of the form ID.NAME=VALUE", field="--set")
+        values.setdefault(tool, {})[parameter.replace("-", "_")] = value
+    return values
+
+
+def _finish(feedback: PlainFeedback, events: list[dict[str, Any]], lines: list[str]) -> None:
+    if isinstance(feedback, JsonFeedback):
+        for event in events:
+            feedback.event("result", **event)
+        return
+    feedback.__exit__()
+    for line in lines:
+        click.echo(line)
+
+
+@contextlib.contextmanager
+def _facing(face: Face) -> Iterator[PlainFeedback]:
+    """Give feedback to the work inside, and turn its errors into messages and exit codes."""
+    _start_logging(face.verbose)
+    stop = Stop()
+    feedback = make_feedback(as_json=face.as_json, stop=stop)
+    try:
+        with stop.listening(), feedback:
+            yield feedback
+    except (click.exceptions.Exit, click.ClickException, click.Abort):
+        raise
+    except (Cancelled, KeyboardInterrupt):
+        _say(feedback, "cancelled", CANCELLED)
+    except GeorefError as error:
+        _say(feedback, str(error), USER_ERROR)
+    except BrokenPipeError:
+        sys.exit(DONE)
+    except Exception as error:
+        if face.verbose:
+            traceback.print_exc()
+        hint = "" if face.verbose else "; run again with -v for the details and report it"
+        _say(feedback, f"this is a bug in georef: {type(error).__name__}: {error}{hint}", BUG)
+
+
+def _say(feedback: PlainFeedback, message: str, code: int) -> NoReturn:
+    if isinstance(feedback, JsonFeedback):
+        feedback.event("error", message=" ".join(message.split()), exit_code=code)
+    _fail(message, code)
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    click.echo(f"georef: {' '.join(message.split())}", err=True)
+    sys.exit(code)
+
+
+def _start_logging(verbose: int) -> None:
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    logger = logging.getLogger("georef_gis")
+    logger.setLevel(level)
+    if not any(isinstance(handler, logging.StreamHandler) for handler in logger.handlers):
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+        logger.addHandler(handler)
+
+
+def main() -> None:
+    """Entry point of the script ``georef``."""
+    georef(prog_name="georef")

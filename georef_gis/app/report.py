@@ -1,0 +1,106 @@
+"""What the command line says at the end of a run, in plain text."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from georef_gis.toolbox.runner import StepReport, products_of
+
+# Lines of doubts shown; all are in the database.
+MOST_DOUBTS = 20
+STANDARD_KEYS = ("products", "gsd_m", "covered_m2", "doubts")
+# m2 in a hectare; areas from there on are given in it
+HECTARE = 1e4
+
+
+def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
+    """Where the products are, GSD, covered area and doubts, after `georef run`."""
+    ran = [report for report in reports if not report.skipped]
+    lines = [
+        f"{report.tool.id:<20} {report.duration_s:7.1f} s  ({report.reason})" for report in ran
+    ]
+    if len(ran) < len(reports):
+        lines.append(f"{len(reports) - len(ran)} of {len(reports)} steps were unchanged")
+    merged: dict[str, Any] = {}
+    for report in reports:
+        merged |= {key: report.result.summary[key] for key in ("gsd_m", "covered_m2")
+                   if report.result.summary.get(key) is not None}  # fmt: skip
+    products = [database, *products_of(reports)] if database.exists() else products_of(reports)
+    lines += [f"wrote  {_short(path)}" for path in products]
+    if "gsd_m" in merged:
+        lines.append(f"GSD    {length_text(merged['gsd_m'])}")
+    if "covered_m2" in merged:
+        lines.append(f"area   {area_text(merged['covered_m2'])}")
+    doubts = [doubt for report in reports for doubt in report.result.summary.get("doubts", ())]
+    return lines + _doubt_lines(list(dict.fromkeys(doubts)))
+
+
+def tool_lines(report: StepReport) -> list[str]:
+    """Products and figures of a single tool."""
+    summary = report.result.summary
+    lines = ["unchanged since its last run; --force runs it"] if report.skipped else []
+    written = [str(path) for path in report.result.outputs.values()]
+    names = dict.fromkeys([*map(str, summary.get("products", ())), *written])
+    lines += [f"wrote  {_short(Path(name))}" for name in names]
+    if summary.get("gsd_m") is not None:
+        lines.append(f"GSD    {length_text(summary['gsd_m'])}")
+    if summary.get("covered_m2") is not None:
+        lines.append(f"area   {area_text(summary['covered_m2'])}")
+    rest = {key: value for key, value in summary.items() if key not in STANDARD_KEYS}
+    lines += [line for key, value in rest.items() for line in _figure(key, value)]
+    return lines + _doubt_lines(list(summary.get("doubts", ())))
+
+
+def report_event(report: StepReport) -> dict[str, Any]:
+    """JSON-able content of a step's report."""
+    return {
+        "tool": report.tool.full_id,
+        "skipped": report.skipped,
+        "reason": report.reason,
+        "duration_s": round(report.duration_s, 3),
+        "outputs": {name: str(path) for name, path in report.result.outputs.items()},
+        "summary": dict(report.result.summary),
+        "warnings": list(report.result.warnings),
+    }
+
+
+def length_text(length_m: float) -> str:
+    """Length in the unit that suits it."""
+    return f"{100.0 * length_m:.2f} cm" if length_m < 1.0 else f"{length_m:.2f} m"
+
+
+def area_text(area_m2: float) -> str:
+    """Area in the unit that suits it."""
+    return f"{area_m2 / HECTARE:.2f} ha" if area_m2 >= HECTARE else f"{area_m2:.0f} m2"
+
+
+def _doubt_lines(doubts: Sequence[str]) -> list[str]:
+    lines = [f"doubt  {doubt}" for doubt in doubts[:MOST_DOUBTS]]
+    if len(doubts) > MOST_DOUBTS:
+        lines.append(f"       and {len(doubts) - MOST_DOUBTS} more in the database, table run")
+    return lines
+
+
+def _figure(key: str, value: Any) -> list[str]:
+    if value is None:
+        return []
+    if isinstance(value, Mapping):
+        return [line for name, item in value.items() for line in _figure(f"{key}.{name}", item)]
+    if isinstance(value, list | tuple) and any(isinstance(item, Mapping | list) for item in value):
+        return [line for n, item in enumerate(value, 1) for line in _figure(f"{key}.{n}", item)]
+    if isinstance(value, list | tuple):
+        return [f"{key:<28} {', '.join(map(_number, value))}"]
+    return [f"{key:<28} {_number(value)}"]
+
+
+def _number(value: Any) -> str:
+    return f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def _short(path: Path) -> str:
+    """Path from the working directory if it lies below it."""
+    relative = os.path.relpath(path)
+    return str(path) if relative.startswith("..") else relative

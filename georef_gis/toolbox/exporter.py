@@ -1,0 +1,261 @@
+"""The contract of an exporter, and the tool that the toolbox makes of it."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import shutil
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args, get_origin
+
+from pydantic import create_model
+
+from georef_gis.errors import ExportError, InputError
+from georef_gis.toolbox import parameters as p
+from georef_gis.toolbox.algorithm import Algorithm, Output, Result
+from georef_gis.toolbox.context import Context, Feedback
+
+if TYPE_CHECKING:
+    from georef_gis.project import Project
+
+# Kind of every layer a project has: tables of the database, products, and the site as a whole.
+LAYER_KINDS: dict[str, str] = {
+    "site": "site",
+    "photos": "vector",
+    "poses": "vector",
+    "footprints": "vector",
+    "control": "vector",
+    "orthos": "raster",
+    "mosaic": "raster",
+}
+RASTER_SUFFIXES = (".tif", ".tiff", ".vrt")
+VECTOR_SUFFIXES = (".gpkg", ".geojson", ".fgb", ".shp")
+
+O = TypeVar("O", bound=p.Parameters)  # noqa: E741
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerSource:
+    """What an exporter reads from.
+
+    Parameters
+    ----------
+    project
+        Opened read-only: an exporter cannot change the layer.
+    layer
+        Name of a layer of the project (see `LAYER_KINDS`), or a file.
+    kind
+        ``vector``, ``raster`` or ``site`` (all that the project has).
+    """
+
+    project: Project
+    layer: str
+    kind: str
+
+    @property
+    def path(self) -> Path | None:
+        """File of the layer, if it is one: a product, or a file of its own."""
+        if self.layer == "mosaic":
+            return self.project.products / "mosaic.tif"
+        if self.layer == "orthos":
+            return self.project.products / "orthos"
+        return None if self.layer in LAYER_KINDS else Path(self.layer)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportReport:
+    """What was written.
+
+    Parameters
+    ----------
+    crs
+        Name or code of the CRS of the target, such as ``EPSG:32617``.
+    height_kind
+        ``ellipsoidal``, ``orthometric (EGM96)``, ``above ground``, ``unknown`` or ``none`` (2D).
+    features
+        Number of features or pictures.
+    """
+
+    crs: str
+    height_kind: str
+    features: int | None = None
+    warnings: tuple[str, ...] = ()
+
+
+class Exporter(ABC, Generic[O]):
+    """Base of every exporter; the toolbox turns it into the tool ``export_<id>``.
+
+    Write ``class Kmz(Exporter[KmzOptions])`` with ``class KmzOptions(p.Parameters)``. The
+    docstring is the help.
+
+    Attributes
+    ----------
+    suffix
+        Of the target, with the dot.
+    accepts
+        Kinds of layers: ``vector``, ``raster``, ``site``. The first layer of the first kind is
+        the default of the tool.
+    target
+        File name under products/ if the user gives none; default ``<layer><suffix>``.
+    in_run, needs
+        As of a tool; an exporter in the run writes ``site`` or its first layer.
+    """
+
+    id: ClassVar[str]
+    name: ClassVar[str]
+    suffix: ClassVar[str]
+    accepts: ClassVar[tuple[str, ...]]
+    Options: ClassVar[type[p.Parameters]] = p.Parameters
+    target: ClassVar[str] = ""
+    in_run: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ("photos",)
+    version: ClassVar[str] = "1"
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Take the parameters from ``Exporter[...]``."""
+        super().__init_subclass__(**kwargs)
+        for base in cls.__dict__.get("__orig_bases__", ()):
+            arguments = get_args(base)
+            if get_origin(base) is Exporter and isinstance(arguments[0], type):
+                cls.Options = arguments[0]
+
+    @abstractmethod
+    def write(
+        self, source: LayerSource, target: Path, options: O, feedback: Feedback
+    ) -> ExportReport:
+        """Write the layer to `target`.
+
+        `target` is a temporary neighbour with the right suffix, renamed by the toolbox when this
+        returns and removed if it raises. `ExportError` if the format cannot hold the layer.
+        """
+
+
+def layer_kind(layer: str) -> str:
+    """Kind of a layer of the project or of a file.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if layer in LAYER_KINDS:
+        return LAYER_KINDS[layer]
+    suffix = Path(layer.partition("|")[0]).suffix.lower()
+    if suffix in RASTER_SUFFIXES:
+        return "raster"
+    if suffix in VECTOR_SUFFIXES:
+        return "vector"
+    raise InputError(
+        f"{layer!r} is no layer; use one of {', '.join(LAYER_KINDS)} or a file", field="layer"
+    )
+
+
+def layers_of(exporter: type[Exporter[Any]]) -> tuple[str, ...]:
+    """Layers of a project that an exporter accepts, its favourite first."""
+    return tuple(
+        layer for kind in exporter.accepts for layer, its in LAYER_KINDS.items() if its == kind
+    )
+
+
+class ExportTool(Algorithm[p.Parameters]):
+    """Base of the tools made from exporters."""
+
+    exporter: ClassVar[type[Exporter[Any]]]
+
+    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+        """Write one layer to a temporary neighbour of the target and rename it."""
+        project = context.require_project()
+        values = parameters.declared()
+        layer, given = str(values.pop("layer")), values.pop("target")
+        kind = layer_kind(layer)
+        if kind not in self.exporter.accepts:
+            accepted = ", ".join(layers_of(self.exporter))
+            raise ExportError(f"{self.id}: cannot hold the {kind} layer {layer}; use {accepted}")
+        target = Path(given) if given else project.products / self._default_target(layer)
+        with project.reader() as reader:
+            source = LayerSource(project=reader, layer=layer, kind=kind)
+            report = _write_safely(
+                self.exporter(), source, target, self.exporter.Options(**values), feedback
+            )
+        summary = {
+            "products": [str(target)],
+            "crs": report.crs,
+            "height_kind": report.height_kind,
+            "features": report.features,
+        }
+        return Result(outputs={"target": target}, summary=summary, warnings=tuple(report.warnings))
+
+    def _default_target(self, layer: str) -> str:
+        own = self.exporter.target
+        if own and layer == layers_of(self.exporter)[0]:
+            return own
+        return Path(layer).stem + self.exporter.suffix
+
+
+def _write_safely(
+    exporter: Exporter[Any],
+    source: LayerSource,
+    target: Path,
+    options: p.Parameters,
+    feedback: Feedback,
+) -> ExportReport:
+    part = target.with_name(f".{target.stem}.part{target.suffix}")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _remove(part)
+        report = exporter.write(source, part, options, feedback)
+        if part.is_dir():
+            _remove(target)
+        os.replace(part, target)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ExportError(
+            f"{target}: cannot be written ({reason}); check free space and permission, and that "
+            "no other program has it open"
+        ) from error
+    finally:
+        for left in target.parent.glob(f"{part.name}*") if target.parent.is_dir() else ():
+            _remove(left)
+    return report
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:
+    """Tool ``export_<id>`` of an exporter."""
+    layers = layers_of(exporter)
+    shared: dict[str, Any] = {
+        "layer": (
+            p.Text,
+            p.text(layers[0], title="Layer", help=f"One of {', '.join(layers)}, or a file."),
+        ),
+        "target": (
+            p.File | None,
+            p.file(None, title="File to write", writes=True, suffixes=(exporter.suffix,)),
+        ),
+    }
+    model = create_model(f"Export{exporter.__name__}", __base__=exporter.Options, **shared)
+    return type(
+        f"Export{exporter.__name__}",
+        (ExportTool,),
+        {
+            "__doc__": inspect.cleandoc(exporter.__doc__ or exporter.name),
+            "__module__": exporter.__module__,
+            "id": f"export_{exporter.id}",
+            "name": f"Export {exporter.name}",
+            "group": "export",
+            "Parameters": model,
+            "exporter": exporter,
+            "outputs": (Output(name="target", title=exporter.name),),
+            "needs": exporter.needs,
+            "in_run": exporter.in_run,
+            "version": exporter.version,
+        },
+    )

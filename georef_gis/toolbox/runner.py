@@ -1,0 +1,379 @@
+"""Runs one tool or the pipeline, skips what did not change, and records every run."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from georef_gis.errors import Cancelled, ExportError, GeorefError, InputError
+from georef_gis.project import Project
+from georef_gis.project.fingerprint import Known, portable_path
+from georef_gis.project.lock import project_lock
+from georef_gis.toolbox.algorithm import Algorithm, Result
+from georef_gis.toolbox.context import Context, Feedback, check_cancelled
+from georef_gis.toolbox.parameters import Parameters
+from georef_gis.toolbox.pipeline import plan_steps, upstream_tools
+from georef_gis.toolbox.registry import Registry, Tool
+from georef_gis.toolbox.staleness import DONE, dependencies, output_fingerprints, why_stale
+
+logger = logging.getLogger(__name__)
+
+# A record keeps this many warnings; a batch of 10 000 photos may give as many.
+MOST_WARNINGS = 1000
+# Errors of the system that the user can cure.
+CURABLE = (errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepReport:
+    """What became of one step.
+
+    Parameters
+    ----------
+    skipped
+        The last run still holds; `result` is what that gave.
+    reason
+        Why it ran.
+    """
+
+    tool: Tool
+    skipped: bool
+    reason: str
+    duration_s: float
+    result: Result
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """Wishes for a run.
+
+    Parameters
+    ----------
+    only
+        Ids of the steps to look at; empty = all.
+    start
+        Id of the step to begin with: it runs whether or not it is stale.
+    force
+        Run what is not stale too.
+    verify
+        Hash inputs and outputs as a whole.
+    """
+
+    only: tuple[str, ...] = ()
+    start: str = ""
+    quick: bool = False
+    force: bool = False
+    verify: bool = False
+    workers: int = 0
+    seed: int | None = None
+
+
+@dataclass(slots=True)
+class StepFeedback:
+    """Feedback of one step: maps its progress into that of the run, and keeps its warnings."""
+
+    inner: Feedback
+    first: float = 0.0
+    share: float = 1.0
+    warnings: list[str] = field(default_factory=list)
+
+    def progress(self, fraction: float, message: str = "") -> None:
+        """Pass on, as a fraction of the whole run."""
+        self.inner.progress(self.first + self.share * min(max(fraction, 0.0), 1.0), message)
+
+    def warn(self, message: str) -> None:
+        """Pass on and keep."""
+        self.warnings.append(message)
+        self.inner.warn(message)
+
+    def info(self, message: str) -> None:
+        """Pass on."""
+        self.inner.info(message)
+
+    def cancelled(self) -> bool:
+        """Whether the user wants to stop."""
+        return self.inner.cancelled()
+
+
+def default_workers() -> int:
+    """Number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_tool(
+    registry: Registry,
+    name: str,
+    values: Mapping[str, Any],
+    feedback: Feedback,
+    *,
+    project: Project | None = None,
+    options: RunOptions | None = None,
+) -> StepReport:
+    """Run one tool.
+
+    Parameters
+    ----------
+    values
+        Parameters as given: numbers in the declared unit, or texts. With a project, those of
+        [tools.<id>] in project.toml hold where none is given.
+
+    Raises
+    ------
+    GeorefError
+        Whatever the user can cure; the record of the run says so too.
+    """
+    tool, options = registry.find(name), options or RunOptions()
+    if project is None and tool.algorithm.needs_project:
+        raise InputError(f"tool {tool.id} works on a project; give one with --project FOLDER")
+    if not tool.algorithm.needs_project:
+        return _run_alone(tool, values, feedback, options)
+    assert project is not None
+    parameters = _parameters(tool, project, values)
+    with ExitStack() as stack:
+        if tool.algorithm.in_run or tool.algorithm.gives:
+            stack.enter_context(project_lock(project.folder))
+        run = _Run(registry, project, feedback, options)
+        return run.step(tool, parameters, forced=options.force or not tool.algorithm.in_run)
+
+
+def run_pipeline(
+    registry: Registry,
+    project: Project,
+    feedback: Feedback,
+    *,
+    values: Mapping[str, Mapping[str, Any]] | None = None,
+    options: RunOptions | None = None,
+) -> list[StepReport]:
+    """Run the steps of `georef run` that are stale, in the order of what they need.
+
+    Parameters
+    ----------
+    values
+        Tool id -> parameter -> value, going before those of project.toml.
+    """
+    options = options or RunOptions()
+    _warn_of_unknown_tools(registry, project, feedback)
+    given = {registry.find(name).full_id: items for name, items in (values or {}).items()}
+    steps = plan_steps(registry, options.only, options.start, quick=options.quick)
+    # All parameters are read before the first step works for an hour.
+    parameters = [_parameters(tool, project, given.get(tool.full_id, {})) for tool in steps]
+    forced = registry.find(options.start).full_id if options.start else ""
+    reports: list[StepReport] = []
+    with project_lock(project.folder):
+        run = _Run(registry, project, feedback, options)
+        for number, (tool, own) in enumerate(zip(steps, parameters, strict=True)):
+            run.place(number, len(steps))
+            force = options.force or tool.full_id == forced
+            reports.append(run.step(tool, own, forced=force))
+    feedback.progress(1.0, "done")
+    return reports
+
+
+def _warn_of_unknown_tools(registry: Registry, project: Project, feedback: Feedback) -> None:
+    for name in project.settings.tools:
+        try:
+            registry.find(name)
+        except InputError as error:
+            feedback.warn(f"project.toml: [tools.{name}] is not used: {error}")
+
+
+@contextmanager
+def _curable(tool: Tool) -> Iterator[None]:
+    """Turn what the user can cure, though no tool foresaw it, into a `GeorefError`."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise Cancelled("stopped by the user") from error
+    except MemoryError as error:
+        raise GeorefError(f"tool {tool.id}: memory is used up; try fewer --workers") from error
+    except OSError as error:
+        if error.errno not in CURABLE:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        raise ExportError(
+            f"tool {tool.id}: {where}{error.strerror}; check free space and permission"
+        ) from error
+
+
+def _run_alone(
+    tool: Tool, values: Mapping[str, Any], feedback: Feedback, options: RunOptions
+) -> StepReport:
+    """Run a tool that needs no project, without a record."""
+    parameters = tool.algorithm.Parameters(**values)
+    context = Context(
+        workers=options.workers or default_workers(), seed=options.seed or 0, quick=options.quick
+    )
+    started = time.perf_counter()
+    with _curable(tool):
+        result = tool.algorithm().run(context, parameters, feedback)
+    return StepReport(
+        tool=tool, skipped=False, reason="", duration_s=time.perf_counter() - started, result=result
+    )
+
+
+def _parameters(tool: Tool, project: Project, given: Mapping[str, Any]) -> Parameters:
+    """Parameters of a tool: those given, else those of project.toml, else the defaults."""
+    tables = project.settings.tools
+    stored: dict[str, Any] = {}
+    for name in (tool.id, tool.full_id):
+        stored |= tables.get(name, {})
+    # Paths in project.toml are relative to it.
+    for spec in tool.algorithm.Parameters.specs():
+        if spec.kind in ("File", "Folder") and spec.name in stored:
+            value = stored[spec.name]
+            many = isinstance(value, list)
+            stored[spec.name] = [project.path(v) for v in value] if many else project.path(value)
+    return tool.algorithm.Parameters(**(stored | dict(given)))
+
+
+class _Run:
+    """A run of one or more steps on a project."""
+
+    def __init__(
+        self, registry: Registry, project: Project, feedback: Feedback, options: RunOptions
+    ) -> None:
+        self.registry = registry
+        self.project = project
+        self.options = options
+        self.feedback = StepFeedback(feedback)
+        seed = project.settings.project.seed if options.seed is None else options.seed
+        self.context = Context(
+            project=project,
+            workers=options.workers or default_workers(),
+            seed=seed,
+            cache=project.cache,
+            quick=options.quick,
+        )
+        self.known: Known = {}
+        project.prepare()
+        self.last = _last_runs(project)
+
+    def place(self, number: int, count: int) -> None:
+        """Say which part of the whole the next step is."""
+        self.feedback = replace(self.feedback, first=number / count, share=1.0 / count, warnings=[])
+
+    def step(self, tool: Tool, parameters: Parameters, *, forced: bool) -> StepReport:
+        """Run a step, or find that its last run still holds."""
+        check_cancelled(self.feedback)
+        algorithm = tool.algorithm()
+        verify = self.options.verify
+        now = dependencies(
+            tool, algorithm, self.context, parameters, self._upstream(tool),
+            verify=verify, known=self.known,
+        )  # fmt: skip
+        last = self.last.get(tool.full_id)
+        stale = why_stale(last, now, self.project, verify=verify)
+        if not stale and not forced and last is not None:
+            logger.info("%s: unchanged", tool.id)
+            result = _recorded(last, self.project)
+            return StepReport(tool=tool, skipped=True, reason="", duration_s=0.0, result=result)
+        reason = stale or "it was asked for"
+        logger.info("%s runs: %s", tool.id, reason)
+        started = time.perf_counter()
+        result = self._work(tool, algorithm, parameters, now)
+        duration = time.perf_counter() - started
+        return StepReport(
+            tool=tool, skipped=False, reason=reason, duration_s=duration, result=result
+        )
+
+    def _upstream(self, tool: Tool) -> dict[str, int]:
+        """Last runs of the steps whose results this one reads."""
+        found: dict[str, int] = {}
+        for need, givers in upstream_tools(self.registry, tool).items():
+            done = {
+                giver.full_id: int(self.last[giver.full_id]["fid"])
+                for giver in givers
+                if self.last.get(giver.full_id, {}).get("outcome") == DONE
+            }
+            if givers and not done:
+                names = " or ".join(giver.id for giver in givers)
+                raise InputError(
+                    f"needs {need}, which {names} gives and which is not there yet; run "
+                    "`georef run` first",
+                    source=f"tool {tool.id}",
+                )
+            found |= done
+        return found
+
+    def _work(
+        self, tool: Tool, algorithm: Algorithm[Any], parameters: Parameters, now: dict[str, Any]
+    ) -> Result:
+        database = self.project.database
+        begun = {
+            **now,
+            "outcome": "started",
+            "started": datetime.now(UTC).isoformat(" ", "milliseconds"),
+            "process": os.getpid(),
+        }
+        fid = database.insert("run", begun)
+        self.last[tool.full_id] = {**begun, "fid": fid}
+        clock = time.perf_counter()
+        try:
+            context = replace(self.context, run_id=fid)
+            with _curable(tool):
+                result = algorithm.run(context, parameters, self.feedback)
+            check_cancelled(self.feedback)
+        except BaseException as error:
+            outcome = "cancelled" if isinstance(error, Cancelled) else "failed"
+            message = str(error) if isinstance(error, GeorefError) else repr(error)
+            self._close(tool, fid, clock, outcome=outcome, message=message)
+            raise
+        outputs = output_fingerprints(
+            result.outputs.values(), self.project, verify=self.options.verify
+        )
+        self._close(
+            tool, fid, clock, outcome=DONE, summary=_portable(result.summary, self.project),
+            outputs=outputs,
+            warnings=[*self.feedback.warnings, *result.warnings][:MOST_WARNINGS],
+        )  # fmt: skip
+        return result
+
+    def _close(self, tool: Tool, fid: int, clock: float, **columns: Any) -> None:
+        columns["duration_s"] = round(time.perf_counter() - clock, 3)
+        columns.setdefault("warnings", self.feedback.warnings[:MOST_WARNINGS])
+        try:
+            self.project.database.update("run", fid, **columns)
+        except GeorefError:
+            # A full disk must not hide the error that it caused; the record stays "started".
+            if columns["outcome"] == DONE:
+                raise
+            logger.warning("the record of %s could not be written", tool.id)
+        self.last[tool.full_id] = {**self.last[tool.full_id], **columns}
+
+
+def _last_runs(project: Project) -> dict[str, dict[str, Any]]:
+    """Last run of every tool, whatever became of it."""
+    database = project.database
+    return {row["tool"]: row for row in database.last_rows("run", "tool")}
+
+
+def _recorded(last: Mapping[str, Any], project: Project) -> Result:
+    """Result of a run that still holds; its products are found where the project is now."""
+    summary = dict(last["summary"] or {})
+    if "products" in summary:
+        summary["products"] = [str(project.path(name)) for name in summary["products"]]
+    return Result(summary=summary, warnings=tuple(last["warnings"] or ()))
+
+
+def _portable(summary: Mapping[str, Any], project: Project) -> dict[str, Any]:
+    """Summary whose products are relative to the project, which may be moved."""
+    if "products" not in summary:
+        return dict(summary)
+    products = [portable_path(Path(name), project.folder) for name in summary["products"]]
+    return {**summary, "products": products}
+
+
+def products_of(reports: Sequence[StepReport]) -> list[Path]:
+    """Products of steps, in order, each once."""
+    found = {
+        str(path): None for report in reports for path in report.result.summary.get("products", ())
+    }
+    return [Path(path) for path in found]
