@@ -1,0 +1,1 @@
+"""From files and ports to the model: photos, cameras, poses, control."""

@@ -1,0 +1,140 @@
+"""Control points and marks: own files, ODM's gcp_list.txt, real ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from georef_gis.errors import InputError
+from georef_gis.ingest.control import read_control, read_gcp_list, read_marks
+
+CONTROL = """# crs: EPSG:6601
+# datum: NAD83(2011)@2010.0
+# height_kind: orthometric
+# geoid: geoid18
+# unit: US survey foot (easting, northing, height); sigmas in m
+name,easting,northing,height,sigma_h_m,sigma_v_m,role
+P01,2000000.5,700000.25,1000,0.01,0.02,control
+P02,2000100,700000,,,,check
+P03,2000100,700100,1001,0.01,0.02,off
+"""
+
+
+@pytest.fixture
+def write(tmp_path: Path):
+    def put(text: str, name: str = "control.csv") -> Path:
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return put
+
+
+def test_control_csv_with_its_header(write) -> None:
+    control = read_control(write(CONTROL))
+    first, second, third = control.points
+    assert control.crs.to_epsg() == 6601
+    assert str(control.datum) == "NAD83(2011)@2010.0"
+    assert (control.height_kind, control.geoid) == ("orthometric", "geoid18")
+    assert (first.easting, first.northing) == (2000000.5, 700000.25)
+    assert first.height == pytest.approx(304.8006096, abs=1e-6)
+    assert (first.sigma_h, first.sigma_v) == (0.01, 0.02)
+    assert second.height is None
+    assert [p.role for p in control.points] == ["control", "check", "off"]
+    assert third.name == "P03"
+
+
+def test_marks_csv(write) -> None:
+    control = read_control(write(CONTROL))
+    text = "name,photo,u,v,sigma_px\nP01,A.JPG,10.25,20.5,0.3\nP02,A.JPG,0,0,\n"
+    marks = read_marks(write(text, "marks.csv"), control=control)
+    assert (marks[0].u, marks[0].v, marks[0].sigma_px) == (10.25, 20.5, 0.3)
+    assert marks[1].sigma_px == 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("P02,2000100", "P01,2000100"), r"line 8: name: point 'P01' stands in line 7 too"),
+        (("check", "maybe"), r"line 8: role: 'maybe' is not a role"),
+        (("700000.25", "north"), r"line 7: northing: 'north' is not a number"),
+        (("0.01,0.02,control", "-1,0.02,control"), r"line 7: sigma_h_m: -1 is no standard"),
+        (("# crs: EPSG:6601\n", ""), r"control.csv: crs: no CRS"),
+        (("EPSG:6601", "EPSG:1"), r"is not a CRS"),
+        (("orthometric", "sealevel"), r"'sealevel' is no kind of height"),
+        (("US survey foot", "foot"), r"unit: 'foot' is not known"),
+        (("easting,northing,height", "x,y,z"), r"line 6: column easting, northing is missing"),
+    ],
+    ids=lambda v: str(v)[:30],
+)
+def test_bad_control_names_file_line_field_and_cure(
+    write, change: tuple[str, str], words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        read_control(write(CONTROL.replace(*change, 1)))
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("P99,A.JPG,1,1,1", r"line 2: name: point 'P99' is not among"),
+        ("P01,A.JPG,-30,1,1", r"line 2: u: -30 px lies outside"),
+        ("P01,A.JPG,1,1,0", r"line 2: sigma_px: 0 is no standard"),
+        ("P01,,1,1,1", r"line 2: name or photo is missing"),
+    ],
+)
+def test_bad_marks_are_refused(write, row: str, words: str) -> None:
+    control = read_control(write(CONTROL))
+    path = write(f"name,photo,u,v,sigma_px\n{row}\n", "marks.csv")
+    with pytest.raises(InputError, match=words):
+        read_marks(path, control=control)
+
+
+def test_gcp_list_with_a_check_point_and_a_blank_in_a_name(write) -> None:
+    text = (
+        "EPSG:32617\n500000 4000000 350 100.5 200 IMG%201.JPG G1\n"
+        "500010 4000000 nan 10 20 IMG_2.JPG CHK-G2\n"
+    )
+    control = read_gcp_list(write(text, "gcp_list.txt"))
+    assert [(p.name, p.role, p.height) for p in control.points] == [
+        ("G1", "control", 350.0),
+        ("G2", "check", None),
+    ]
+    assert control.marks[0].photo == "IMG 1.JPG"
+    assert control.marks[0].u == 100.5
+
+
+def test_gcp_list_with_contradicting_points_is_refused(write) -> None:
+    text = "EPSG:32617\n500000 4000000 350 1 2 A.JPG G1\n500000 4000001 350 1 2 B.JPG G1\n"
+    with pytest.raises(InputError, match="line 3: gcp_name: point 'G1' has other coordinates"):
+        read_gcp_list(write(text, "gcp_list.txt"))
+
+
+def test_a_height_of_zero_among_others_is_doubted(write) -> None:
+    text = "EPSG:32617\n500000 4000000 350 1 2 A.JPG G1\n500009 4000001 0 1 2 A.JPG G2\n"
+    assert "height 0" in read_gcp_list(write(text, "gcp_list.txt")).doubts[0]
+
+
+def test_real_marks_of_curitiba(data: Path) -> None:
+    folder = data / "numbers" / "control_marks_br"
+    control = read_gcp_list(folder / "gcp_list.txt")
+    assert control.crs.utm_zone == "22S"
+    assert len(control.points) == 6
+    assert len(control.marks) == 25
+    assert control.doubts == ()
+    hv01 = control.points[0]
+    assert (hv01.easting, hv01.northing, hv01.height) == (658528.361, 7167002.098, 890.636)
+
+
+def test_the_real_blunder_is_found(data: Path) -> None:
+    control = read_gcp_list(data / "numbers" / "control_marks_br" / "gcp_list_chk_raw.txt")
+    (doubt,) = control.doubts
+    assert "point HV11 is marked in IMG_5352.JPG twice" in doubt
+
+
+def test_real_list_in_degrees(data: Path) -> None:
+    control = read_gcp_list(data / "numbers" / "rtk_mrk" / "gcp_list.txt")
+    assert control.crs.is_geographic
+    first = control.points[0]
+    assert (first.easting, first.northing) == (16.47592207, 47.64350399)
