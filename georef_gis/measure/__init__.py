@@ -1,0 +1,1 @@
+"""Positions, lengths and their uncertainty."""

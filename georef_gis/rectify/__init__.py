@@ -1,0 +1,1 @@
+"""Footprints, grids and orthos."""

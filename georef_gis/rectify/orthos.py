@@ -1,0 +1,46 @@
+"""One ortho per photo: warped tile by tile through a checked mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from georef_gis.model.grid import Grid, Window
+from georef_gis.model.layers import Footprint, Ortho
+from georef_gis.model.mesh import Ground, choose_step
+from georef_gis.model.photo import OrientedPhoto
+from georef_gis.model.plan import plan_tiles
+from georef_gis.rasters.profile import RasterProfile
+from georef_gis.rasters.warp import Image, reduction_for, warp_window
+from georef_gis.rasters.writer import TiledWriter
+
+
+def write_ortho(
+    photo: OrientedPhoto,
+    image: Image,
+    footprint: Footprint,
+    ground: Ground,
+    profile: RasterProfile,
+    grid: Grid,
+    path: Path,
+    *,
+    gsd: float,
+) -> Ortho:
+    """Write the ortho of one photo as a COG; it appears whole or not at all.
+
+    Parameters
+    ----------
+    image : shape (rows, cols, bands)
+        The photo, decoded with `reduction_for(gsd, footprint.gsd)`.
+    gsd
+        Pixel size of the grid, m.
+    """
+    plan = plan_tiles(grid, {photo.id: footprint.ring_map}, tile_size=profile.tile_size)
+    whole = Window(col=0, row=0, width=grid.width, height=grid.height)
+    step = choose_step(photo, ground, grid, whole)
+    reduce = reduction_for(gsd, footprint.gsd)
+    with TiledWriter(path, profile) as writer:
+        for task in plan.tiles:
+            tile = warp_window(photo, image, ground, grid, task.window, step=step, reduce=reduce)
+            if tile is not None:
+                writer.write_tile(task.row, task.col, tile[0], tile[1])
+    return Ortho(photo_id=photo.id, path=path, grid=grid)
