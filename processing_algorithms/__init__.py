@@ -1,0 +1,23 @@
+"""Our tools, on the same contract as a third party's. Their heavy libraries load when they run."""
+
+from processing_algorithms.ingest.check import Check
+from processing_algorithms.ingest.init import Init
+from processing_algorithms.ingest.photos import ReadPhotos
+from processing_algorithms.measure.measure_photo import MeasurePhoto
+from processing_algorithms.mosaic.mosaic import MosaicTool
+from processing_algorithms.orient.direct import OrientDirect
+from processing_algorithms.rectify.footprints import Footprints
+from processing_algorithms.rectify.orthos import Orthos
+from processing_algorithms.simulate import Simulate
+
+ALGORITHMS = (
+    Init,
+    Simulate,
+    Check,
+    ReadPhotos,
+    OrientDirect,
+    Footprints,
+    Orthos,
+    MosaicTool,
+    MeasurePhoto,
+)

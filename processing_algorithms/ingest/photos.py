@@ -1,0 +1,196 @@
+"""Tool `read_photos`: files to photos and cameras in the project database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Result, check_cancelled
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.model.camera import Camera
+    from georef_gis.model.photo import Photo
+    from georef_gis.project import Project
+
+
+class ReadPhotos(Algorithm[p.Parameters]):
+    """Read the photos' tags into the project.
+
+    Positions, angles, times and cameras from EXIF, XMP and MakerNote of DJI, senseFly, Parrot,
+    Pix4D, Skydio and plain cameras; positions and angles from the file of [poses] where it has
+    them. Fixes the project's CRS and origin. A photo that cannot be used is named and left out.
+    """
+
+    id, name, group = "read_photos", "Read photos", "ingest"
+    gives = ("photos",)
+    in_run = True
+    uses_settings = ("project", "photos", "camera", "cameras", "gnss", "mount", "poses")
+
+    def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
+        """Photos and the file of poses."""
+        project = context.require_project()
+        poses = project.settings.poses.file
+        return [*project.photo_files(), *([project.path(poses)] if poses else [])]
+
+    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+        """Read them."""
+        from georef_gis.ingest.cameras import CameraOverride
+        from georef_gis.ingest.photos import read_photos
+
+        project = context.require_project()
+        settings = project.settings
+
+        def override(camera_id: str, model: str) -> CameraOverride:
+            own = settings.camera_of(camera_id, model)
+            return CameraOverride(**own.model_dump(exclude_none=True))
+
+        def progress(done: int, count: int) -> None:
+            check_cancelled(feedback)
+            feedback.progress(0.9 * done / max(count, 1), f"{done} of {count} photos read")
+
+        result = read_photos(
+            project.photo_files(), workers=context.workers, progress=progress, override=override
+        )
+        photos = _with_pose_file(project, list(result.photos), feedback)
+        photos = [_as_set(photo, project) for photo in photos]
+        frame = _frame(project, photos)
+        refused = [str(error) for _, error in result.refused]
+        doubts = [*refused, *result.doubts, *(d for photo in photos for d in photo.doubts)]
+        for doubt in doubts:
+            feedback.warn(doubt)
+        _save(project, frame, photos, result.cameras)
+        summary = {
+            "photos": len(photos),
+            "refused": len(refused),
+            "cameras": {c.id: f"f = {c.fx:.0f} px ({c.source})" for c in result.cameras.values()},
+            "crs": frame.crs.name,
+            "doubts": doubts,
+        }
+        return Result(summary=summary)
+
+
+def _with_pose_file(project: Project, photos: list[Photo], feedback: Feedback) -> list[Photo]:
+    """Photos with positions and angles of the pose file, where it names them."""
+    from dataclasses import replace
+
+    settings = project.settings.poses
+    if settings.file is None:
+        return photos
+    from georef_gis.ingest.poses import match_poses, read_poses
+
+    tags = sorted((t.lat, t.lon) for photo in photos if (t := photo.geotag) is not None)
+    poses = read_poses(
+        project.path(settings.file),
+        format=settings.format,
+        crs=settings.crs,
+        near=tags[len(tags) // 2] if tags else None,
+    )
+    found, unknown = match_poses(poses, [photo.path.name for photo in photos])
+    if len(found) < len(photos) or unknown:
+        feedback.warn(
+            f"{settings.file}: has poses of {len(found)} of {len(photos)} photos"
+            + (f", and of {len(unknown)} that are not there" if unknown else "")
+        )
+    out = []
+    for photo in photos:
+        geotag, attitude = found.get(photo.path.name, (photo.geotag, None))
+        out.append(replace(photo, geotag=geotag, attitude=attitude or photo.attitude))
+    return out
+
+
+def _as_set(photo: Photo, project: Project) -> Photo:
+    """Photo with what project.toml says of all its positions."""
+    from dataclasses import replace
+
+    position_of = project.settings.gnss.position_of
+    if photo.geotag is None or position_of == "auto":
+        return photo
+    return replace(photo, geotag=replace(photo.geotag, of=position_of))
+
+
+def _frame(project: Project, photos: list[Photo]) -> MapFrame:
+    """Map CRS of the project and an origin amid the photos."""
+    import numpy as np
+
+    from georef_gis.errors import MissingMetadataError
+    from georef_gis.geodesy import Datum, MapFrame, Origin, geoid_undulation, map_crs, utm_crs
+
+    tags = [photo.geotag for photo in photos if photo.geotag is not None]
+    if not tags:
+        raise MissingMetadataError(
+            "no photo has a GPS position; give the positions in a file ([poses] file)",
+            source=str(project.settings.photos.folder),
+            field="GPS",
+        )
+    # The median: one position on another continent must not move the origin there.
+    lat = float(np.median([tag.lat for tag in tags]))
+    lon = float(np.median([tag.lon for tag in tags]))
+    heights = [tag.height for tag in tags if tag.height is not None]
+    level = float(np.median([h.value for h in heights])) if heights else 0.0
+    # The height of the origin only sets where enu's zero lies.
+    origin = Origin(lat=lat, lon=lon, height_ellipsoidal=round(level, 1))
+    settings = project.settings
+    text = settings.project.crs
+    file = project.path(text) if text.lower().endswith((".wkt", ".prj")) else None
+    crs = utm_crs(lat, lon) if text == "auto" else map_crs(file.read_text() if file else text)
+    output = settings.project.datum_output
+    frame = MapFrame(
+        origin,
+        crs,
+        gnss_datum=Datum.parse(settings.gnss.datum),
+        crs_datum=None if output == "auto" else Datum.parse(output),
+    )
+    frame.check_inside(np.zeros((1, 3)))
+    geoid_undulation(lat, lon, geoid=settings.gnss.geoid)
+    return frame
+
+
+def _save(
+    project: Project, frame: MapFrame, photos: list[Photo], cameras: Mapping[str, Camera]
+) -> None:
+    from dataclasses import replace
+
+    from georef_gis.project.fingerprint import fingerprint
+    from georef_gis.project.records import camera_row, photo_row, save_frame
+
+    database = project.database
+    times = [photo.time_gps for photo in photos if photo.time_gps is not None]
+    epoch = float(int(min(times))) if times else None
+    rows = []
+    for photo in photos:
+        if photo.time_gps is not None and epoch is not None:
+            photo = replace(photo, time_gps=photo.time_gps - epoch)
+        status = "doubtful" if photo.doubts else "ok"
+        rows.append(photo_row(photo, frame, status=status, fingerprint=fingerprint(photo.path)))
+    with database.transaction():
+        save_frame(database, frame)
+        database.set_meta(epoch=epoch)
+        database.replace_rows("photo", rows)
+        database.replace_rows("camera", [camera_row(c) for c in cameras.values()])
+        database.replace_rows(
+            "flight",
+            [{"flight_id": f, "name": f} for f in sorted({photo.flight_id for photo in photos})],
+        )
+        database.replace_rows("mount", [_mount_row(project)])
+
+
+def _mount_row(project: Project) -> dict[str, object]:
+    from math import radians
+
+    mount = project.settings.mount
+    return {
+        "mount_id": "mount",
+        "lever_arm_camera": list(mount.lever_arm_camera_m),
+        "lever_arm_antenna": list(mount.lever_arm_antenna_m),
+        "boresight": [radians(v) for v in mount.boresight_deg],
+        "rotation_nominal": None,
+        "covariance": None,
+        "source": "project.toml",
+        "extra": {
+            "sigma_lever_arm_m": mount.sigma_lever_arm_m,
+            "sigma_boresight_deg": mount.sigma_boresight_deg,
+        },
+    }

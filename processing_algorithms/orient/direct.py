@@ -1,0 +1,232 @@
+"""Tool `orient_direct`: poses from the tags alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Result
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.model.photo import Photo
+    from georef_gis.model.pose import Mount
+    from georef_gis.orient.direct import DirectPose, DirectSettings
+    from georef_gis.orient.heights import GroundSetting, Heights
+    from georef_gis.project import Project
+
+
+class OrientDirect(Algorithm[p.Parameters]):
+    """Pose of every photo from its tags.
+
+    Position, height above ground and angles as the maker's dialect means them, with a covariance
+    that holds the receiver, the angles, the mount, the datum and the ground. A missing heading is
+    taken from the course between neighbours, with a sigma to match. No matching is done.
+    """
+
+    id, name, group = "orient_direct", "Orient photos from their tags", "orient"
+    needs, gives = ("photos",), ("poses",)
+    in_run = True
+    uses_settings = ("gnss", "attitude", "ground", "mount")
+
+    def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
+        """The DEM."""
+        project = context.require_project()
+        dem = project.settings.ground.dem
+        return [project.path(dem)] if dem else []
+
+    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+        """Orient them."""
+        from georef_gis.geodesy import HeightKind
+        from georef_gis.orient.direct import direct_poses
+        from georef_gis.orient.heights import solve_heights
+        from georef_gis.project.records import load_frame, photo_of
+
+        project = context.require_project()
+        frame = load_frame(project.database)
+        photos = [_with_dialect(photo_of(row), project) for row in project.database.rows("photo")]
+        photos = _in_time(photos)
+        ground = _ground(project, frame, photos)
+        kind = project.settings.gnss.height_kind
+        heights = solve_heights(
+            [photo for photo in photos if photo.geotag is not None],
+            frame.origin,
+            ground,
+            kind=None if kind == "auto" else HeightKind(kind),
+        )
+        mount, settings = _mount(project), _settings(project, frame)
+        _check_names(settings, photos)
+        poses = direct_poses(
+            photos, frame.origin, heights, mount, settings, convergence_at=frame.convergence_at
+        )
+        doubts = _report(poses, heights, frame, feedback)
+        _save(project, frame, photos, poses, heights)
+        placed = [pose for pose in poses if pose.pose is not None]
+        agl = sorted(pose.height_above_ground for pose in placed)
+        summary = {
+            "oriented": len(placed),
+            "left_out": len(poses) - len(placed),
+            "height_above_ground_m": round(agl[len(agl) // 2], 1),
+            "ground": heights.source,
+            "doubts": doubts,
+        }
+        return Result(summary=summary)
+
+
+def _in_time(photos: list[Photo]) -> list[Photo]:
+    """Photos by flight and time; by name where there is no time."""
+    from datetime import datetime
+
+    return sorted(
+        photos,
+        key=lambda photo: (
+            photo.flight_id,
+            photo.time_gps if photo.time_gps is not None else math.inf,
+            photo.camera_clock or datetime.max,
+            photo.id,
+        ),
+    )
+
+
+def _with_dialect(photo: Photo, project: Project) -> Photo:
+    """Photo whose angles are read as the dialect that project.toml names."""
+    from dataclasses import replace
+
+    name = project.settings.attitude.dialect
+    attitude = photo.attitude
+    if attitude is None:
+        return photo
+    if name != "auto":
+        attitude = replace(attitude, dialect=name)
+    if project.settings.attitude.yaw_source == "flight" and attitude.vehicle_yaw is not None:
+        attitude = replace(attitude, yaw=attitude.vehicle_yaw)
+    return replace(photo, attitude=attitude)
+
+
+def _ground(project: Project, frame: MapFrame, photos: list[Photo]) -> GroundSetting:
+    import numpy as np
+
+    from georef_gis.orient.heights import GroundSetting
+    from processing_algorithms.site import read_dem, stated_ground_height
+
+    settings = project.settings.ground
+    dem = None
+    if settings.dem is not None:
+        tags = [photo.geotag for photo in photos if photo.geotag is not None]
+        geo = np.array([[t.lat, t.lon, frame.origin.height_ellipsoidal] for t in tags])
+        dem = read_dem(project, frame, frame.origin.enu_from_geo(geo))
+    return GroundSetting(
+        height=stated_ground_height(project),
+        height_above_ground=settings.height_above_ground_m,
+        dem=dem,
+        sigma=settings.sigma_m,
+    )
+
+
+def _mount(project: Project) -> Mount:
+    import numpy as np
+
+    from georef_gis.model.pose import Mount
+
+    mount = project.settings.mount
+    stated = mount.model_fields_set
+    return Mount(
+        lever_arm_body_camera=np.array(mount.lever_arm_camera_m),
+        lever_arm_body_antenna=np.array(mount.lever_arm_antenna_m),
+        boresight_body=np.radians(mount.boresight_deg),
+        sigma_lever_arm=mount.sigma_lever_arm_m if "lever_arm_camera_m" in stated else 0.0,
+        # Without a stated boresight the dialect's own sigma holds it already.
+        sigma_boresight=math.radians(mount.sigma_boresight_deg) if "boresight_deg" in stated else 0,
+    )
+
+
+def _settings(project: Project, frame: MapFrame) -> DirectSettings:
+    from georef_gis.orient.direct import DirectSettings
+
+    gnss, attitude = project.settings.gnss, project.settings.attitude
+
+    def angle(degrees: float | None) -> float | None:
+        return None if degrees is None else math.radians(degrees)
+
+    return DirectSettings(
+        sigma_h=gnss.sigma_h_m,
+        sigma_v=gnss.sigma_v_m,
+        sigma_roll_pitch=angle(attitude.sigma_roll_pitch_deg),
+        sigma_yaw=angle(attitude.sigma_yaw_deg),
+        sigma_datum=frame.datum_sigma,
+        yaw_source="course" if attitude.yaw_source == "course" else "auto",
+        rotate_photos=dict(attitude.rotate_photos),
+    )
+
+
+def _check_names(settings: DirectSettings, photos: list[Photo]) -> None:
+    from georef_gis.errors import InputError
+
+    known = {photo.path.name for photo in photos} | {photo.id for photo in photos}
+    for name in settings.rotate_photos:
+        if name not in known:
+            raise InputError(
+                f"no photo is called '{name}'",
+                source="project.toml",
+                field="attitude.rotate_photos",
+            )
+
+
+def _report(
+    poses: list[DirectPose], heights: Heights, frame: MapFrame, feedback: Feedback
+) -> list[str]:
+    """Tell what is doubtful; fail if nothing is left."""
+    doubts = list(heights.doubts)
+    for pose in poses:
+        doubts += [f"{pose.photo_id}: {doubt}" for doubt in pose.doubts]
+        if pose.refused is not None:
+            doubts.append(str(pose.refused))
+    if frame.datum_sigma > 0:
+        feedback.info(
+            f"datum of the positions ({frame.gnss_datum}) against the map's ({frame.crs_datum}): "
+            f"{frame.datum_sigma:.0f} m of sigma added"
+        )
+    if not any(pose.pose is not None for pose in poses):
+        first = next(pose.refused for pose in poses if pose.refused is not None)
+        raise first
+    for doubt in doubts:
+        feedback.warn(doubt)
+    return doubts
+
+
+def _save(
+    project: Project,
+    frame: MapFrame,
+    photos: list[Photo],
+    poses: list[DirectPose],
+    heights: Heights,
+) -> None:
+    from georef_gis.project.records import pose_row
+    from processing_algorithms.site import ground_facts
+
+    by_id = {photo.id: photo for photo in photos}
+    rows = []
+    for pose in poses:
+        if pose.pose is None:
+            continue
+        photo = by_id[pose.photo_id]
+        row = pose_row(
+            pose.photo_id,
+            pose.pose,
+            frame,
+            height_above_ground=pose.height_above_ground,
+            dialect=photo.attitude.dialect if photo.attitude else "none",
+            doubts=pose.doubts,
+            turned_deg=pose.turned_deg,
+        )
+        rows.append({**row, "time_gps": photo.time_gps})
+    dem = project.settings.ground.dem
+    database = project.database
+    with database.transaction():
+        database.replace_rows("pose", rows, where={"kind": "tags"})
+        database.set_meta(
+            ground=ground_facts(heights.terrain, heights.source, project.path(dem) if dem else None)
+        )
