@@ -1,0 +1,23 @@
+"""Our exporters, on the same contract as a third party's.
+
+Importing them is light: lxml, cv2, rasterio and pyogrio are loaded when something is written.
+"""
+
+from typing import Any
+
+from exports.cog import Cog
+from exports.geojson import GeoJson
+from exports.geopackage import GeoPackage
+from exports.kml import Kml, Kmz
+from exports.poses import OdmGeo, ReferenceCsv
+from georef_gis.toolbox import Exporter
+
+EXPORTERS: tuple[type[Exporter[Any]], ...] = (
+    Kmz,
+    GeoPackage,
+    Kml,
+    GeoJson,
+    Cog,
+    OdmGeo,
+    ReferenceCsv,
+)

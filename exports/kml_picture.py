@@ -1,0 +1,306 @@
+"""The mosaic seen in latitude and longitude, block by block, from the overview that fits."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.errors import ExportError
+from georef_gis.frames import Array
+from georef_gis.geodesy import MapFrame, meridian_radius, metres_per_unit, prime_vertical_radius
+
+Pixels = NDArray[np.uint8]
+
+# px; between the nodes the transformation is taken as linear (error far below 0.01 px)
+MESH_STEP = 64
+# MB; some rows of tiles, so that neighbouring blocks do not decode them twice
+CACHE_MB = 64
+# Least opacity that is taken for opaque where the rim is written hard.
+HARD_RIM = 128
+# Few colours pack best as they are, without differences between pixels (older OpenCV has no say).
+_PLAIN_PNG: list[int] = []
+if hasattr(cv2, "IMWRITE_PNG_FILTER"):
+    _PLAIN_PNG += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+    _PLAIN_PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT]
+# px of a decimated reading from which brightness is judged
+SAMPLE = 512
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatLonGrid:
+    """Pixels of equal size in degrees, north-up; (0, 0) is the outer corner of the first."""
+
+    west: float
+    north: float
+    dlon: float
+    dlat: float
+    width: int
+    height: int
+
+    def bounds(self, col: float, row: float, cols: float, rows: float) -> dict[str, float]:
+        """Sides of a block, deg; neighbours get the very same numbers."""
+        return {
+            "north": self.north - row * self.dlat,
+            "south": self.north - (row + rows) * self.dlat,
+            "east": self.west + (col + cols) * self.dlon,
+            "west": self.west + col * self.dlon,
+        }
+
+    def coarser(self, factor: int) -> LatLonGrid:
+        """The same corner with pixels `factor` times as large."""
+        return LatLonGrid(
+            west=self.west,
+            north=self.north,
+            dlon=self.dlon * factor,
+            dlat=self.dlat * factor,
+            width=math.ceil(self.width / factor),
+            height=math.ceil(self.height / factor),
+        )
+
+
+class MosaicPicture:
+    """A GeoTIFF in the project CRS, read as 8-bit colour with alpha in latitude and longitude.
+
+    The way from degrees to pixels is the project's own (`MapFrame`, datum step included), so the
+    picture and the vectors of one file agree.
+    """
+
+    def __init__(self, path: Path, frame: MapFrame) -> None:
+        import rasterio
+
+        self._files = ExitStack()
+        self.path, self.frame = path, frame
+        self._files.enter_context(rasterio.Env(GDAL_CACHEMAX=CACHE_MB))
+        self._full = self._files.enter_context(rasterio.open(path))
+        if self._full.crs is None:
+            raise ExportError(f"{path.name}: has no CRS; make the mosaic again")
+        self._levels: dict[int, Any] = {1: self._full}
+        for k, factor in enumerate(self._full.overviews(1)):
+            level = self._files.enter_context(rasterio.open(path, overview_level=k))
+            self._levels[factor] = level
+        self._bands = _colour_bands(self._full)
+        self._range = _brightness_range(self._full, self._bands)
+        self.grid = self._make_grid()
+
+    def __enter__(self) -> Self:
+        """Give the open picture."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the files."""
+        self._files.close()
+
+    def _make_grid(self) -> LatLonGrid:
+        """Grid over the mosaic whose pixels are as large as the mosaic's."""
+        ds, origin = self._full, self.frame.origin
+        t = np.linspace(0.0, 1.0, 33)
+        zero, one = np.zeros_like(t), np.ones_like(t)
+        rim = np.concatenate(
+            [np.column_stack(side) for side in ((t, zero), (t, one), (zero, t), (one, t))]
+        )
+        lat, lon = self._geo_from_colrow(rim * (ds.width, ds.height)).T
+        if np.ptp(lon) > math.pi:
+            raise ExportError(
+                "the mosaic crosses the 180th meridian, where KML pictures break; "
+                "export it without overlay"
+            )
+        centre = origin.enu_from_geo([lat.mean(), lon.mean(), origin.height_ellipsoidal])
+        pixel = ds.transform.a * metres_per_unit(self.frame.horizontal)
+        metres = pixel / self.frame.scale_at(centre)
+        dlat = math.degrees(metres / float(meridian_radius(lat.mean())))
+        radius = float(prime_vertical_radius(lat.mean())) * math.cos(lat.mean())
+        dlon = math.degrees(metres / radius)
+        west, north = math.degrees(lon.min()), math.degrees(lat.max())
+        return LatLonGrid(
+            west=west,
+            north=north,
+            dlon=dlon,
+            dlat=dlat,
+            width=math.ceil((math.degrees(lon.max()) - west) / dlon),
+            height=math.ceil((north - math.degrees(lat.min())) / dlat),
+        )
+
+    def _geo_from_colrow(self, colrow: Array) -> Array:
+        """Lat, lon in rad of outer-corner pixel coordinates at full resolution; (n, 2)."""
+        t = self._full.transform
+        x = t.a * colrow[:, 0] + t.b * colrow[:, 1] + t.c
+        y = t.d * colrow[:, 0] + t.e * colrow[:, 1] + t.f
+        h = np.full(len(colrow), self.frame.origin.height_ellipsoidal)
+        return self.frame.geo_from_map(np.column_stack([x, y, h]))[:, :2]
+
+    def _colrow_from_lonlat(self, lon: Array, lat: Array) -> Array:
+        """Outer-corner pixel coordinates at full resolution of degrees; (..., 2)."""
+        h = np.full(lon.shape, self.frame.origin.height_ellipsoidal)
+        p = self.frame.map_from_geo(np.stack([np.radians(lat), np.radians(lon), h], axis=-1))
+        t = ~self._full.transform
+        x, y = p[..., 0], p[..., 1]
+        return np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], axis=-1)
+
+    def block(self, grid: LatLonGrid, col: int, row: int, cols: int, rows: int) -> Pixels | None:
+        """Block of a grid as (rows, cols, 4) BGRA with colour premultiplied by alpha.
+
+        None where the mosaic has nothing.
+        """
+        wanted = grid.dlat / self.grid.dlat
+        factor = max(f for f in self._levels if f <= max(wanted * 1.001, 1.0))
+        ds = self._levels[factor]
+        us, vs = _nodes(cols), _nodes(rows)
+        lonlat = np.meshgrid(
+            grid.west + (col + us) * grid.dlon, grid.north - (row + vs) * grid.dlat
+        )
+        at = self._colrow_from_lonlat(*lonlat)
+        at *= (ds.width / self._full.width, ds.height / self._full.height)
+        # Between nodes all is linear, so they bound the block.
+        low = np.floor(at.min(axis=(0, 1))).astype(int) - 2
+        high = np.ceil(at.max(axis=(0, 1))).astype(int) + 2
+        left, top = np.maximum(low, 0)
+        right, bottom = np.minimum(high, (ds.width, ds.height))
+        if right <= left or bottom <= top:
+            return None
+        shrink = max(1, int(wanted / factor))
+        source, scale = self._read(ds, (left, top, right - left, bottom - top), shrink)
+        if not source[..., 3].any():
+            return None
+        uv = (at - (left, top)) * scale - 0.5
+        u, v = (_between_nodes(uv[..., i], us, vs, cols, rows) for i in (0, 1))
+        out = cv2.remap(source, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return np.asarray(out, dtype=np.uint8) if out[..., 3].any() else None
+
+    def _read(
+        self, ds: Any, window: tuple[int, int, int, int], shrink: int
+    ) -> tuple[Pixels, Array]:
+        """Part of a level as premultiplied BGRA, and pixels read per pixel of the level (2,)."""
+        from rasterio.enums import Resampling
+        from rasterio.windows import Window
+
+        part = Window(*(int(value) for value in window))
+        size = (max(1, window[3] // shrink), max(1, window[2] // shrink))
+        how = Resampling.average if shrink > 1 else Resampling.nearest
+        bands = ds.read(self._bands, window=part, out_shape=(len(self._bands), *size),
+                        resampling=how)  # fmt: skip
+        mask = ds.dataset_mask(window=part, out_shape=size, resampling=Resampling.nearest)
+        channels = [self._to_byte(bands[min(2 - i, len(bands) - 1)], i) for i in range(3)]
+        out = np.asarray(cv2.merge([*channels, mask]), dtype=np.uint8)
+        partly = (mask > 0) & (mask < 255)
+        if partly.any():
+            share = mask[partly, None].astype(np.uint16)
+            out[partly, :3] = (out[partly, :3] * share + 127) // 255
+        # Colour under no opacity must not bleed in.
+        out = np.asarray(cv2.bitwise_and(out, out, mask=mask), dtype=np.uint8)
+        return out, np.array([size[1] / window[2], size[0] / window[3]])
+
+    def _to_byte(self, band: NDArray[Any], channel: int) -> Pixels:
+        if self._range is None:
+            return np.asarray(band, dtype=np.uint8)
+        low, high = self._range[min(2 - channel, len(self._range) - 1)]
+        value = (np.nan_to_num(band.astype(np.float32)) - low) * (255.0 / max(high - low, 1e-9))
+        return np.asarray(np.clip(np.rint(value), 0, 255), dtype=np.uint8)
+
+
+def _nodes(size: int) -> Array:
+    return np.linspace(0.0, size, math.ceil(size / MESH_STEP) + 1)
+
+
+def _between_nodes(
+    values: Array, us: Array, vs: Array, cols: int, rows: int
+) -> NDArray[np.float32]:
+    """Bilinear between nodes at all pixel centres; (len(vs), len(us)) -> (rows, cols)."""
+    # No matrix product: BLAS would keep all cores spinning for so little.
+    along, t = _place(vs, rows)
+    lines = values[along] * (1.0 - t)[:, None] + values[along + 1] * t[:, None]
+    lines = lines.astype(np.float32)
+    along, t = _place(us, cols)
+    left = lines[:, along]
+    return np.asarray(left + (lines[:, along + 1] - left) * t.astype(np.float32), dtype=np.float32)
+
+
+def _place(nodes: Array, size: int) -> tuple[NDArray[np.intp], Array]:
+    """Node before every pixel centre, and the way to the next, 0 to 1."""
+    at = (np.arange(size) + 0.5) / size * (len(nodes) - 1)
+    along = np.minimum(at.astype(np.intp), len(nodes) - 2)
+    return along, at - along
+
+
+def _colour_bands(ds: Any) -> list[int]:
+    """Numbers of the bands to show as red, green, blue; one band is shown in grey."""
+    from rasterio.enums import ColorInterp
+
+    kinds = list(ds.colorinterp)
+    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+    if all(kind in kinds for kind in wanted):
+        return [kinds.index(kind) + 1 for kind in wanted]
+    plain = [i + 1 for i, kind in enumerate(kinds) if kind is not ColorInterp.alpha]
+    return plain[:3] if len(plain) >= 3 else plain[:1]
+
+
+def _brightness_range(ds: Any, bands: list[int]) -> list[tuple[float, float]] | None:
+    """Per band the 1st and 99th percentile, which become black and white; None for 8 bit."""
+    if ds.dtypes[0] == "uint8":
+        return None
+    scale = max(1.0, max(ds.width, ds.height) / SAMPLE)
+    size = (max(1, int(ds.height / scale)), max(1, int(ds.width / scale)))
+    valid = ds.dataset_mask(out_shape=size) > 0
+    out = []
+    for band in ds.read(bands, out_shape=(len(bands), *size)):
+        values = band[valid & np.isfinite(band)]
+        low, high = np.percentile(values, [1, 99]) if values.size else (0.0, 1.0)
+        out.append((float(low), float(high)))
+    return out
+
+
+def straight(premultiplied: Pixels) -> Pixels:
+    """BGRA with colour as it is seen, from colour premultiplied by alpha."""
+    alpha = premultiplied[..., 3:].astype(np.uint16)
+    colour = premultiplied[..., :3].astype(np.uint16)
+    out = premultiplied.copy()
+    out[..., :3] = np.minimum((colour * 255 + alpha // 2) // np.maximum(alpha, 1), 255)
+    return out
+
+
+def encode(premultiplied: Pixels, quality: int, *, small: bool = False) -> tuple[str, bytes]:
+    """File ending and bytes of a picture: JPEG where it is opaque, else PNG.
+
+    Parameters
+    ----------
+    small
+        PNG of 256 colours with a hard rim: a third of the bytes. It is written with all its
+        channels, because GDAL's reader of superoverlays does not look up a palette.
+    """
+    least = int(premultiplied[..., 3].min())
+    image = premultiplied if least == 255 else straight(premultiplied)
+    if least == 255 or (small and least >= HARD_RIM):
+        suffix, image = "jpg", np.ascontiguousarray(image[..., :3])
+        options = [cv2.IMWRITE_JPEG_QUALITY, quality]
+    else:
+        suffix, options = "png", [cv2.IMWRITE_PNG_COMPRESSION, 6]
+        if small:
+            image, options = _few_colours(image), options + _PLAIN_PNG
+    done, data = cv2.imencode(f".{suffix}", image, options)
+    if not done:
+        raise ValueError(f"OpenCV cannot encode a picture of shape {premultiplied.shape}")
+    return suffix, data.tobytes()
+
+
+def _few_colours(image: Pixels) -> Pixels:
+    """The same picture in 256 colours with a hard rim, as BGRA."""
+    from PIL import Image
+
+    hard = cv2.cvtColor(image, cv2.COLOR_BGRA2RGBA)
+    # Half-covered pixels would share colours, and so opacity, with the inside.
+    hard[hard[..., 3] < HARD_RIM] = 0
+    hard[..., 3][hard[..., 3] >= HARD_RIM] = 255
+    few = Image.fromarray(hard).quantize(256, method=Image.Quantize.FASTOCTREE)
+    return np.asarray(cv2.cvtColor(np.array(few.convert("RGBA")), cv2.COLOR_RGBA2BGRA), np.uint8)

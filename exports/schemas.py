@@ -1,0 +1,141 @@
+"""Layers that are exported: names, units and meaning of their attributes, decided here once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from georef_gis.frames import Array
+
+FieldKind = Literal["text", "real", "integer", "flag"]
+GeometryKind = Literal["Point", "LineString", "Polygon", "None"]
+Value = str | float | int | bool | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """An attribute: the unit stands in its name, and again in `unit`."""
+
+    name: str
+    kind: FieldKind
+    unit: str
+    doc: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Feature:
+    """One thing of a layer, in three frames at once.
+
+    Parameters
+    ----------
+    values
+        By field name; None = not known.
+    geo : shape (n, 3)
+        lon, lat in degrees of the positions' datum, height above the ellipsoid in m (NaN if not
+        known); a polygon is closed.
+    xy_map : shape (n, 2)
+        In CRS units.
+    height_orthometric : shape (n,)
+        Above EGM96, m; NaN if not known.
+    """
+
+    values: Mapping[str, Value]
+    geo: Array
+    xy_map: Array
+    height_orthometric: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Layer:
+    """Features of one kind with their fields."""
+
+    name: str
+    title: str
+    geometry: GeometryKind
+    fields: tuple[Field, ...]
+    features: tuple[Feature, ...] = field(default=())
+
+
+def _fields(*rows: tuple[str, FieldKind, str, str]) -> tuple[Field, ...]:
+    return tuple(Field(name=name, kind=kind, unit=unit, doc=doc) for name, kind, unit, doc in rows)
+
+
+PHOTO_FIELDS = _fields(
+    ("photo", "text", "", "Id of the photo"),
+    ("file", "text", "", "File name of the photo"),
+    ("flight", "text", "", "Id of the flight"),
+    ("camera", "text", "", "Id of the camera"),
+    ("time_utc", "text", "", "Time of exposure, UTC, ISO 8601; empty if only the camera's clock"),
+    ("camera_clock", "text", "", "Time as the camera's own clock says, no time zone"),
+    ("lon_deg", "real", "deg", "Longitude of the projection centre"),
+    ("lat_deg", "real", "deg", "Latitude of the projection centre"),
+    ("height_ellipsoidal_m", "real", "m", "Height above the WGS 84 ellipsoid"),
+    ("height_orthometric_m", "real", "m", "Height above the EGM96 geoid"),
+    ("height_above_ground_m", "real", "m", "Height above the ground below"),
+    ("roll_deg", "real", "deg", "Roll of the camera, 0 at nadir; with yaw, pitch as Rz Ry Rx"),
+    ("pitch_deg", "real", "deg", "Pitch of the camera, 0 at nadir, nose up positive"),
+    ("yaw_deg", "real", "deg", "Direction of the image's top, clockwise from true north"),
+    ("omega_deg", "real", "deg", "Omega of Rx(omega) Ry(phi) Rz(kappa), map from photo axes"),
+    ("phi_deg", "real", "deg", "Phi, as above"),
+    ("kappa_deg", "real", "deg", "Kappa, as above; from grid east, counter-clockwise"),
+    ("sigma_e_m", "real", "m", "One sigma of the position towards true east"),
+    ("sigma_n_m", "real", "m", "One sigma of the position towards true north"),
+    ("sigma_u_m", "real", "m", "One sigma of the height"),
+    ("corr_en", "real", "1", "Correlation of the errors in east and north"),
+    ("sigma_major_m", "real", "m", "Semi-major axis of the one-sigma ellipse (39 % inside)"),
+    ("sigma_minor_m", "real", "m", "Semi-minor axis of the one-sigma ellipse"),
+    ("sigma_azimuth_deg", "real", "deg", "Azimuth of the major axis from true north, 0 to 180"),
+    ("sigma_roll_deg", "real", "deg", "One sigma of roll"),
+    ("sigma_pitch_deg", "real", "deg", "One sigma of pitch"),
+    ("sigma_yaw_deg", "real", "deg", "One sigma of yaw"),
+    ("sigma_omega_deg", "real", "deg", "One sigma of omega"),
+    ("sigma_phi_deg", "real", "deg", "One sigma of phi"),
+    ("sigma_kappa_deg", "real", "deg", "One sigma of kappa"),
+    ("pose_kind", "text", "", "Where the pose is from: tags, navigation or adjusted; empty = none"),
+    ("gsd_m", "real", "m", "Mean ground sample distance of the photo"),
+    ("tilt_deg", "real", "deg", "Angle of the view axis off nadir"),
+    ("doubts", "text", "", "What is doubtful about the photo, parted by semicolons"),
+)
+FOOTPRINT_FIELDS = _fields(
+    ("photo", "text", "", "Id of the photo"),
+    ("gsd_m", "real", "m", "Mean ground sample distance"),
+    ("gsd_min_m", "real", "m", "Smallest ground sample distance in the photo"),
+    ("gsd_max_m", "real", "m", "Largest ground sample distance in the photo"),
+    ("area_m2", "real", "m2", "Area of ground that the photo shows"),
+    ("height_above_ground_m", "real", "m", "Height of the camera above the ground"),
+    ("tilt_deg", "real", "deg", "Angle of the view axis off nadir"),
+    ("sigma_horizontal_m", "real", "m", "One sigma per axis of the place of the photo's middle"),
+    ("clipped", "flag", "", "Whether the photo also looks above the horizon or past the ground"),
+)
+TRACK_FIELDS = _fields(
+    ("flight", "text", "", "Id of the flight"),
+    ("part", "integer", "", "Number of the part; a flight is split where photos are far apart"),
+    ("photos", "integer", "", "Number of photos"),
+    ("first_photo", "text", "", "Id of the first photo"),
+    ("last_photo", "text", "", "Id of the last photo"),
+    ("start_utc", "text", "", "Time of the first photo, UTC, ISO 8601"),
+    ("end_utc", "text", "", "Time of the last photo, UTC, ISO 8601"),
+    ("duration_s", "real", "s", "From the first to the last photo"),
+    ("length_m", "real", "m", "Length in space from photo to photo"),
+)
+CAMERA_FIELDS = _fields(
+    ("camera", "text", "", "Id of the camera"),
+    ("model", "text", "", "Lens model: brown, fisheye or fisheye_pix4d"),
+    ("width_px", "integer", "px", "Width of the photos"),
+    ("height_px", "integer", "px", "Height of the photos"),
+    ("fx_px", "real", "px", "Focal length along u"),
+    ("fy_px", "real", "px", "Focal length along v"),
+    ("cx_px", "real", "px", "Principal point u; 0 = centre of the first pixel"),
+    ("cy_px", "real", "px", "Principal point v"),
+    ("k1", "real", "1", "Radial distortion, ideal to distorted (OpenCV)"),
+    ("k2", "real", "1", "Radial distortion"),
+    ("k3", "real", "1", "Radial distortion"),
+    ("k4", "real", "1", "Radial distortion of a fisheye"),
+    ("p1", "real", "1", "Decentring distortion"),
+    ("p2", "real", "1", "Decentring distortion"),
+    ("b1_px", "real", "px", "Affinity"),
+    ("b2_px", "real", "px", "Skew"),
+    ("source", "text", "", "Where the values come from"),
+)

@@ -1,0 +1,315 @@
+"""KML and KMZ: valid by schema, whole, and in place."""
+
+from __future__ import annotations
+
+import math
+import posixpath
+import zipfile
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from conftest import NASTY, dot_places, make_frame, make_site, write_mosaic, write_photos
+from lxml import etree
+
+from exports.kml import KmzOptions, write_kml, write_kmz
+from georef_gis.errors import Cancelled, ExportError
+from georef_gis.geodesy import geoid_undulation
+from georef_gis.toolbox import CollectingFeedback
+
+K = "{http://www.opengis.net/kml/2.2}"
+SIZE = (1500, 1100)
+
+
+@pytest.fixture(scope="session")
+def schema() -> etree.XMLSchema:
+    folder = resources.files("fastkml") / "schema"
+    return etree.XMLSchema(etree.parse(str(folder / "kml22gx.xsd")))
+
+
+@pytest.fixture(scope="module", params=["EPSG:32617", "EPSG:6549"])
+def kmz(request, tmp_path_factory) -> tuple[Path, str]:
+    folder = tmp_path_factory.mktemp("kmz")
+    write_photos(folder)
+    frame = make_frame(request.param)
+    mosaic = write_mosaic(folder / "mosaic.tif", frame, width=SIZE[0], height=SIZE[1])
+    site = make_site(folder, crs=request.param, mosaic=mosaic)
+    report = write_kmz(
+        site, folder / "site.kmz", KmzOptions(overlay="pyramid"), CollectingFeedback()
+    )
+    assert report.features == 7
+    return folder / "site.kmz", request.param
+
+
+def documents(path: Path) -> Iterator[tuple[str, etree._Element]]:
+    with zipfile.ZipFile(path) as archive:
+        for name in archive.namelist():
+            if name.endswith(".kml"):
+                yield name, etree.fromstring(archive.read(name))
+
+
+def on_map(t: rasterio.Affine, col: np.ndarray, row: np.ndarray) -> tuple:
+    return t.a * col + t.c, t.e * row + t.f
+
+
+def box(element: etree._Element) -> dict[str, float]:
+    return {side: float(element.findtext(K + side)) for side in ("north", "south", "east", "west")}
+
+
+def deepest_tiles(path: Path) -> list[tuple[dict[str, float], np.ndarray]]:
+    """Boxes and BGRA pixels of the tiles that have no children, from the files alone."""
+    out = []
+    with zipfile.ZipFile(path) as archive:
+        for name, root in documents(path):
+            overlay = root.find(f".//{K}GroundOverlay")
+            if overlay is None or root.find(f".//{K}NetworkLink") is not None:
+                continue
+            href = posixpath.join(posixpath.dirname(name), overlay.findtext(f".//{K}href"))
+            pixels = cv2.imdecode(np.frombuffer(archive.read(href), np.uint8), -1)
+            if pixels.shape[2] == 3:
+                pixels = np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)])
+            out.append((box(overlay.find(K + "LatLonBox")), pixels))
+    return out
+
+
+def test_every_document_is_valid(kmz, schema):
+    for name, root in documents(kmz[0]):
+        assert schema.validate(root), (name, schema.error_log)
+
+
+def test_document_comes_first_and_every_link_exists(kmz):
+    with zipfile.ZipFile(kmz[0]) as archive:
+        names = archive.namelist()
+        assert archive.testzip() is None
+    assert names[0] == "doc.kml"
+    assert len(names) == len(set(names))
+    used = {"doc.kml"}
+    for name, root in documents(kmz[0]):
+        hrefs = [e.text for e in root.iter(K + "href")]
+        for description in root.iter(K + "description"):
+            hrefs += etree.HTML(f"<div>{description.text}</div>").xpath("//img/@src")
+        folder = posixpath.dirname(name)
+        used |= {posixpath.normpath(posixpath.join(folder, href)) for href in hrefs}
+    assert used == set(names)
+
+
+def test_boxes_have_sides_in_order_and_decimals(kmz):
+    count = 0
+    for _, root in documents(kmz[0]):
+        for tag in ("LatLonBox", "LatLonAltBox"):
+            for element in root.iter(K + tag):
+                sides = box(element)
+                assert sides["north"] > sides["south"]
+                assert sides["east"] > sides["west"]
+                texts = [element.findtext(K + side) for side in sides]
+                assert all(len(text.partition(".")[2]) >= 9 for text in texts)
+                count += 1
+    assert count > 20
+
+
+def test_levels_of_detail_follow_the_pyramid(kmz):
+    for name, root in documents(kmz[0]):
+        if not name.startswith("mosaic/"):
+            continue
+        lod = root.find(f"{K}Document/{K}Region/{K}Lod")
+        found = [int(lod.findtext(K + f"{m}LodPixels")) for m in ("min", "max")]
+        parent = root.find(f".//{K}NetworkLink") is not None
+        assert found == [1 if name == "mosaic/0/0/0.kml" else 128, 2048 if parent else -1]
+
+
+def test_opaque_tiles_are_jpeg_and_empty_ones_are_left_out(kmz):
+    with zipfile.ZipFile(kmz[0]) as archive:
+        tiles = [n for n in archive.namelist() if n.startswith("mosaic/") and n[-3:] != "kml"]
+        for name in tiles:
+            pixels = cv2.imdecode(np.frombuffer(archive.read(name), np.uint8), -1)
+            assert max(pixels.shape[:2]) <= 256
+            if name.endswith("png"):
+                assert 0 < pixels[..., 3].mean() < 255, name
+    kinds = {name[-3:] for name in tiles}
+    assert kinds == {"png", "jpg"}
+    # A diamond leaves the corners free; a full pyramid of 8 x 8 has 85 tiles.
+    assert len(tiles) < 50
+
+
+def test_neighbouring_tiles_share_their_sides(kmz):
+    boxes = [b for b, _ in deepest_tiles(kmz[0])]
+    wests, easts = {b["west"] for b in boxes}, {b["east"] for b in boxes}
+    assert len(wests | easts) <= len(wests) + 1
+
+
+def test_overlay_lies_in_place_to_a_tenth_of_a_pixel(kmz):
+    """Centroids of the mosaic's dots, by the boxes in the files, against the project's frame."""
+    path, crs = kmz
+    frame = make_frame(crs)
+    with rasterio.open(path.parent / "mosaic.tif") as ds:
+        transform = ds.transform
+        valid = ds.dataset_mask() > 0
+    errors = []
+    tiles = deepest_tiles(path)
+    for col, row in dot_places(*SIZE):
+        if not valid[int(row) - 8 : int(row) + 8, int(col) - 8 : int(col) + 8].all():
+            continue
+        x, y = on_map(transform, col, row)
+        lat, lon = np.degrees(frame.geo_from_map([x, y, 200.0])[:2])
+        for sides, pixels in tiles:
+            height, width = pixels.shape[:2]
+            u = (lon - sides["west"]) * width / (sides["east"] - sides["west"])
+            v = (sides["north"] - lat) * height / (sides["north"] - sides["south"])
+            if 8 < u < width - 8 and 8 < v < height - 8:
+                i, j = int(v) - 7, int(u) - 7
+                patch = pixels[i : i + 15, j : j + 15, 0].astype(float) - 60.0
+                weight = np.clip(patch - 20.0, 0.0, None)
+                yy, xx = np.mgrid[i : i + 15, j : j + 15] + 0.5
+                centroid = [(xx * weight).sum(), (yy * weight).sum()] / weight.sum()
+                errors.append(centroid - [u, v])
+    errors = np.array(errors)
+    assert len(errors) > 50
+    assert np.abs(errors.mean(axis=0)).max() < 0.05  # px: JPEG noise of one dot over many dots
+    assert np.abs(errors).max() < 0.3  # px: JPEG noise of one dot
+
+
+def test_gdal_reads_the_superoverlay_back_in_place(kmz):
+    path, crs = kmz
+    frame = make_frame(crs)
+    with rasterio.open(path) as overlay, rasterio.open(path.parent / "mosaic.tif") as mosaic:
+        assert overlay.driver == "KMLSUPEROVERLAY"
+        assert overlay.crs.to_epsg() == 4326
+        image = overlay.read()
+        truth = mosaic.read()
+        rng = np.random.default_rng(7)
+        colrow = rng.uniform([550, 400], [950, 700], (500, 2))
+        x, y = on_map(mosaic.transform, *colrow.T)
+        geo = frame.geo_from_map(np.column_stack([x, y, np.full(500, 200.0)]))
+        u, v = on_map(~overlay.transform, np.degrees(geo[:, 1]), np.degrees(geo[:, 0]))
+    got = image[:3, v.astype(int), u.astype(int)].astype(int)
+    wanted = truth[:, colrow[:, 1].astype(int), colrow[:, 0].astype(int)].astype(int)
+    # Half a pixel of rounding each changes values at the dots' rims only.
+    assert np.median(np.abs(got - wanted)) <= 2
+    assert np.mean(np.abs(got - wanted) > 12) < 0.08
+    assert (image[3, v.astype(int), u.astype(int)] == 255).all()
+
+
+def test_gdal_reads_the_vectors(kmz, tmp_path):
+    with zipfile.ZipFile(kmz[0]) as archive:
+        archive.extract("doc.kml", tmp_path)
+    layers = {name: kind for name, kind in pyogrio.list_layers(tmp_path / "doc.kml")}
+    assert {"Photos", "Footprints", "Flight track"} <= set(layers)
+    frame = pyogrio.read_dataframe(tmp_path / "doc.kml", layer="Photos")
+    point = frame.geometry.iloc[0]
+    n = float(geoid_undulation(math.radians(40.0), math.radians(-83.0)))
+    assert (point.x, point.y) == pytest.approx((-83.0, 40.0), abs=1e-9)
+    assert point.z == pytest.approx(300.0 - n, abs=1e-3)
+    assert frame["sigma_n_m"].iloc[0] == pytest.approx(2.0)
+    assert frame["Name"].tolist() == ["p1.jpg", NASTY, "missing.jpg"]
+
+
+def test_heights_and_modes(kmz):
+    root = dict(documents(kmz[0]))["doc.kml"]
+    modes = {
+        parent: {e.text for e in root.findall(f".//{K}{parent}/{K}altitudeMode")}
+        for parent in ("Point", "Polygon", "LineString")
+    }
+    assert modes == {
+        "Point": {"absolute"}, "Polygon": {"clampToGround"}, "LineString": {"absolute"},
+    }  # fmt: skip
+
+
+def test_nasty_names_survive_in_text_and_table(kmz):
+    root = dict(documents(kmz[0]))["doc.kml"]
+    marks = root.findall(f".//{K}Placemark")
+    nasty = next(m for m in marks if m.findtext(K + "name") == NASTY)
+    html = nasty.findtext(K + "description")
+    assert "<script" not in html
+    cells = etree.HTML(html).xpath("//td/text()")
+    assert "heading <differs> & more" in cells
+    data = {e.get("name"): e.text for e in nasty.iter(K + "SimpleData")}
+    assert data["file"] == NASTY
+
+
+def test_control_characters_do_not_break_the_file(site, tmp_path, schema):
+    from dataclasses import replace
+
+    photo = replace(site.photos[0].photo, id="bell\x07.jpg", doubts=("zero\x00",))
+    odd = replace(site, photos=(replace(site.photos[0], photo=photo),))
+    write_kml(odd, tmp_path / "x.kml")
+    root = etree.parse(str(tmp_path / "x.kml"))
+    assert schema.validate(root), schema.error_log
+
+
+def test_photo_that_cannot_be_read_is_told(site, tmp_path):
+    feedback = CollectingFeedback()
+    report = write_kmz(site, tmp_path / "s.kmz", KmzOptions(), feedback)
+    assert feedback.warnings == list(report.warnings)
+    assert "missing.jpg" in report.warnings[0]
+    with zipfile.ZipFile(tmp_path / "s.kmz") as archive:
+        thumbs = [n for n in archive.namelist() if n.startswith("thumbnails/")]
+        image = cv2.imdecode(np.frombuffer(archive.read(thumbs[0]), np.uint8), -1)
+    assert len(thumbs) == 2
+    assert image.shape == (240, 320, 3)
+
+
+def test_without_thumbnails_and_mosaic_it_is_small(site, tmp_path):
+    options = KmzOptions(thumbnails=False, overlay="none")
+    write_kmz(site, tmp_path / "s.kmz", options, CollectingFeedback())
+    with zipfile.ZipFile(tmp_path / "s.kmz") as archive:
+        assert archive.namelist() == ["doc.kml", "files/camera.png"]
+
+
+def test_small_mosaic_is_one_picture_in_place(tmp_path, schema):
+    write_photos(tmp_path)
+    frame = make_frame("EPSG:32617")
+    mosaic = write_mosaic(tmp_path / "m.tif", frame, width=300, height=240)
+    site = make_site(tmp_path, mosaic=mosaic)
+    write_kmz(site, tmp_path / "s.kmz", KmzOptions(), CollectingFeedback())
+    root = dict(documents(tmp_path / "s.kmz"))["doc.kml"]
+    assert schema.validate(root), schema.error_log
+    overlays = root.findall(f".//{K}GroundOverlay")
+    assert [o.findtext(f"{K}Icon/{K}href") for o in overlays] == ["mosaic.png"]
+    sides = box(overlays[0].find(K + "LatLonBox"))
+    with rasterio.open(mosaic) as ds:
+        corner = np.degrees(frame.geo_from_map([ds.bounds.left, ds.bounds.top, 200.0])[:2])
+    # The mosaic's top left corner is the northernmost west of the central meridian.
+    assert sides["west"] == pytest.approx(corner[1], abs=1e-9)
+
+
+@pytest.mark.parametrize("max_mb", [0.15, 0.4])
+def test_size_is_kept_by_a_coarser_mosaic(kmz, tmp_path, max_mb):
+    write_photos(tmp_path)
+    site = make_site(tmp_path, crs=kmz[1], mosaic=kmz[0].parent / "mosaic.tif")
+    options = KmzOptions(max_mb=max_mb, overlay="pyramid")
+    write_kmz(site, tmp_path / "s.kmz", options, CollectingFeedback())
+    size = (tmp_path / "s.kmz").stat().st_size
+    assert size <= max_mb * 1e6
+    assert any(name.startswith("mosaic/") for name, _ in documents(tmp_path / "s.kmz"))
+
+
+def test_max_zoom_ends_the_pyramid(kmz, tmp_path):
+    write_photos(tmp_path)
+    site = make_site(tmp_path, crs=kmz[1], mosaic=kmz[0].parent / "mosaic.tif")
+    options = KmzOptions(max_zoom=1, overlay="pyramid")
+    write_kmz(site, tmp_path / "s.kmz", options, CollectingFeedback())
+    levels = {name.split("/")[1] for name, _ in documents(tmp_path / "s.kmz") if "/" in name}
+    assert levels == {"0", "1"}
+
+
+def test_too_small_a_limit_is_refused_with_the_cure(site, tmp_path):
+    with pytest.raises(ExportError, match=r"max_mb = 0.001; leave out the thumbnails"):
+        write_kmz(site, tmp_path / "s.kmz", KmzOptions(max_mb=0.001), CollectingFeedback())
+    assert not (tmp_path / "s.kmz").exists()
+
+
+def test_it_can_be_stopped(site, tmp_path):
+    with pytest.raises(Cancelled):
+        write_kmz(site, tmp_path / "s.kmz", KmzOptions(), CollectingFeedback(stop_at=0.1))
+    assert list(tmp_path.glob("*.kmz")) == []
+
+
+def test_same_site_gives_the_same_file(site, tmp_path):
+    for name in ("a.kmz", "b.kmz"):
+        write_kmz(site, tmp_path / name, KmzOptions(), CollectingFeedback())
+    assert (tmp_path / "a.kmz").read_bytes() == (tmp_path / "b.kmz").read_bytes()
