@@ -191,7 +191,7 @@ def _egm96(lat: Array, lon: Array) -> Array:
 _PROJ_GEOIDS = {
     "geoid18": ("EPSG:5703", "EPSG:6319"),
     "egm2008": ("EPSG:3855", "EPSG:4979"),
-    "cgvd2013": ("EPSG:6647", "EPSG:6649"),
+    "cgvd2013": ("EPSG:6647", "EPSG:4955"),
 }
 
 
@@ -450,7 +450,9 @@ class MapFrame:
         if self._datum_step:
             t = np.full_like(h, self.gnss_datum.epoch or self.crs_datum.epoch or 2010.0)
             x, y, h, _ = self._datum_step.transform(x, y, h, t, direction="INVERSE")
-        return np.stack([np.radians(y), np.radians(x), h], axis=-1)
+        # PROJ says inf where a place has no coordinates.
+        geo = np.stack([np.radians(y), np.radians(x), h], axis=-1)
+        return np.where(np.isfinite(geo), geo, np.nan)
 
     def enu_from_map(self, p_map: ArrayLike) -> Array:
         """Enu m from (easting, northing in CRS units, ellipsoidal height m); shape (..., 3)."""
@@ -481,15 +483,18 @@ class MapFrame:
     def convergence_at(self, p_enu: ArrayLike) -> float:
         """Meridian convergence at a place of enu (3,), rad: grid north east of true north > 0.
 
-        Direction of enu's north axis, clockwise from grid north, with the sign turned.
+        From the axes that are level at the place itself; enu's own turn against them by
+        the difference in longitude times the sine of the latitude.
         """
         j = self._jacobian(np.asarray(p_enu, float))
         return float(-math.atan2(j[0, 1], j[1, 1]))
 
     def _jacobian(self, p_enu: Array) -> Array:
-        """Map units per m of enu east and north; shape (2, 2)."""
+        """Map units per m of east and north at the place itself; shape (2, 2)."""
         step = 10.0
-        d = np.array([[step, 0, 0], [-step, 0, 0], [0, step, 0], [0, -step, 0]])
+        lat, lon, _ = self.origin.geo_from_enu(p_enu)
+        R_enu_local = self.origin.R_ecef_from_enu.T @ R_ecef_from_enu(lat, lon)
+        d = np.array([[step, 0, 0], [-step, 0, 0], [0, step, 0], [0, -step, 0]]) @ R_enu_local.T
         m = self.map_from_enu(p_enu + d)[:, :2]
         if not np.all(np.isfinite(m)):
             raise GeometryError(f"'{self.crs.name}' has no coordinates at the site")

@@ -10,6 +10,7 @@ import numpy as np
 
 from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
+from georef_gis.model.tile_order import best_order
 
 PLAN_VERSION = 1
 
@@ -28,8 +29,7 @@ class TileTask:
 class Plan:
     """Tiles of a grid that hold something, in the order to work them off.
 
-    The order is a Z-curve: neighbours share photos, so each photo is decoded about once, and four
-    tiles of one overview follow each other.
+    The order is one in which neighbours share photos, so that each photo is decoded about once.
     """
 
     grid: Grid
@@ -67,29 +67,23 @@ class Plan:
         return cls(grid=grid, tile_size=size, tiles=tiles)
 
 
-def _task(grid: Grid, size: int, row: int, col: int, ids: tuple[str, ...]) -> TileTask:
+def _task(grid: Grid, size: int, row: int, col: int, photo_ids: tuple[str, ...]) -> TileTask:
     window = Window(
         col=col * size,
         row=row * size,
         width=min(size, grid.width - col * size),
         height=min(size, grid.height - row * size),
     )
-    return TileTask(row=row, col=col, window=window, photo_ids=ids)
+    return TileTask(row=row, col=col, window=window, photo_ids=photo_ids)
 
 
-def _z_order(row: int, col: int) -> int:
-    """Interleaved bits of row and column."""
-    out = 0
-    for bit in range(32):
-        out |= ((col >> bit) & 1) << (2 * bit) | ((row >> bit) & 1) << (2 * bit + 1)
-    return out
-
-
-def plan_tiles(grid: Grid, rings_map: Mapping[str, Array], *, tile_size: int = 512) -> Plan:
+def plan_tiles(
+    grid: Grid, rings_map: Mapping[str, Array], *, tile_size: int = 512, capacity: int = 8
+) -> Plan:
     """Plan of a grid from the footprints' rings (n, 2) in its CRS.
 
     A photo belongs to a tile unless a side of the convex hull of its ring or of the tile separates
-    them; a tile without photos is left out.
+    them; a tile without photos is left out. The order suits a cache of `capacity` photos.
     """
     rows, cols = -(-grid.height // tile_size), -(-grid.width // tile_size)
     found: dict[tuple[int, int], list[str]] = {}
@@ -104,9 +98,12 @@ def plan_tiles(grid: Grid, rings_map: Mapping[str, Array], *, tile_size: int = 5
         touched = _touched(hull, np.arange(c0, c1 + 1), np.arange(r0, r1 + 1))
         for i, j in zip(*np.nonzero(touched), strict=True):
             found.setdefault((int(r0 + i), int(c0 + j)), []).append(photo_id)
-    tiles = [_task(grid, tile_size, row, col, tuple(ids)) for (row, col), ids in found.items()]
-    tiles.sort(key=lambda t: _z_order(t.row, t.col))
-    return Plan(grid=grid, tile_size=tile_size, tiles=tuple(tiles))
+    cells = sorted(found)
+    order = best_order(cells, [found[cell] for cell in cells], capacity=capacity)
+    tiles = tuple(
+        _task(grid, tile_size, *cells[i], photo_ids=tuple(found[cells[i]])) for i in order
+    )
+    return Plan(grid=grid, tile_size=tile_size, tiles=tiles)
 
 
 def _convex_hull(p: Array) -> Array:

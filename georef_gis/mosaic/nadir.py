@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,14 +17,23 @@ from georef_gis.model.grid import Grid, Window
 from georef_gis.model.mesh import Ground, choose_step, node_positions
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.plan import TileTask
-from georef_gis.rasters.warp import Image, Mask, inside_image, sample, upsample
+from georef_gis.rasters.warp import Image, Key, Mask, inside_image, sample, upsample
 
 # px of the mosaic; over this width one photo gives way to the next
 FEATHER = 64.0
+# part of a photo's reach that the width never exceeds: at a coarse GSD it would cross the photo
+WIDEST_FEATHER = 0.2
 # part of a photo's shorter side within which it gives way before its rim is reached
-RIM = 0.06
+RIM = 0.1
+# px of a photo; within this of its rim its weight goes to nothing pixel by pixel
+SOFT_RIM = 16.0
+# by how much of its reach a photo's distance has grown at its rim: more than any lead, but little
+# more, as the change to the next photo is the steeper
+RIM_PENALTY = 1.2
 # weight of a photo where it is inside but would not count
 TRACE = np.float32(1e-4)
+# px; a tile is rendered in blocks of this side, a multiple of every mesh step
+BLOCK = 128
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,8 +56,43 @@ def mosaic_source(
     high = np.clip(np.ceil(p.max(axis=0)), low + 1, [grid.width, grid.height]).astype(int)
     col, row = int(low[0]), int(low[1])
     window = Window(col=col, row=row, width=int(high[0]) - col, height=int(high[1]) - row)
+    # The weights live on the same nodes: these must not step over a rim.
+    spread = 2.0 * float(np.hypot(*(p[:-1] - p[:-1].mean(axis=0)).T).max())
+    camera = photo.camera
+    rim = RIM * min(camera.width, camera.height) / np.hypot(camera.width, camera.height) * spread
     step = choose_step(photo, ground, grid, window)
+    while step > max(rim, 1.0):
+        step //= 2
     return MosaicSource(photo=photo, step=step, reduce=reduce, reach=reach)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layer:
+    """A photo over a tile: pixel and weight at the nodes of the mesh, and where it is near."""
+
+    source: MosaicSource
+    uv: Array
+    weight: Array
+    near: Mask
+
+    @property
+    def key(self) -> Key:
+        """Photo to read."""
+        return self.source.photo.photo.path, self.source.reduce
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TileSketch:
+    """What is left to do for a tile once its geometry is known."""
+
+    task: TileTask
+    step: int
+    layers: tuple[_Layer, ...]
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Photos to read for sure; others only fill what these leave open."""
+        return tuple(layer.key for layer in self.layers if layer.weight.any())
 
 
 class NadirMosaic:
@@ -58,7 +105,7 @@ class NadirMosaic:
     Parameters
     ----------
     read
-        `read(source) -> image` (rows, cols, bands), as a rule from a cache.
+        `read(path, reduce) -> image` (rows, cols, bands), as a rule from a cache.
     broken
         Takes the errors of photos that could not be read: they leave their place to the others.
     """
@@ -70,67 +117,63 @@ class NadirMosaic:
         grid: Grid,
         *,
         gsd: float,
-        read: Callable[[MosaicSource], Image],
+        read: Callable[[Path, int], Image],
         broken: list[str],
     ) -> None:
         self._sources = dict(sources)
         self._broken = broken
         self._ground = ground
         self._grid = grid
-        self._band = FEATHER * gsd
+        narrowest = min((source.reach for source in sources.values()), default=np.inf)
+        self._band = min(FEATHER * gsd, WIDEST_FEATHER * narrowest)
         self._read = read
 
     def tile(self, task: TileTask) -> tuple[Image, Mask | None] | None:
         """Pixels (rows, cols, bands) and mask of one tile; None where no photo shows it."""
-        while True:
-            sources = [self._sources[i] for i in task.photo_ids if i in self._sources]
-            if not sources:
-                return None
-            try:
-                return _blend(self._layers(sources, task.window))
-            except InputError as error:
-                # Named once, then the tile is rendered from the photos that can be read.
-                self._drop(sources, error)
+        return self.render(self.sketch(task))
 
-    def _drop(self, sources: list[MosaicSource], error: InputError) -> None:
-        self._broken.append(str(error))
-        for source in sources:
-            try:
-                self._read(source)
-            except InputError:
-                self._sources.pop(source.photo.id, None)
-
-    def _layers(self, sources: list[MosaicSource], window: Window) -> list[_Layer]:
-        """Photos that count in a window, with their pixels and weights."""
+    def sketch(self, task: TileTask) -> TileSketch:
+        """Geometry of a tile: which photos count where. Cheap, reads no photo."""
+        sources = [self._sources[i] for i in task.photo_ids if i in self._sources]
+        if not sources:
+            return TileSketch(task, 1, ())
         step = min(s.step for s in sources)
-        p_enu = self._ground.enu_at(self._grid, node_positions(window, step))
-        meshes = np.stack([s.photo.project(p_enu) for s in sources])
+        p_enu = self._ground.enu_at(self._grid, node_positions(task.window, step))
+        meshes = [s.photo.project(p_enu) for s in sources]
         costs = [self._cost(s, p_enu, uv, step) for s, uv in zip(sources, meshes, strict=True)]
         weights = self._weights(np.stack(costs))
-        shape = (window.height, window.width)
-        layers = []
-        for source, mesh, weight in zip(sources, meshes, weights, strict=True):
-            if not weight.any():
-                continue
-            uv = upsample(mesh, step, shape)
-            camera = source.photo.camera
-            inside = inside_image(uv, camera.width, camera.height)
-            if inside.any():
-                data = sample(self._read(source), uv, reduce=source.reduce)
-                layers.append(_Layer(data, inside, upsample(weight, step, shape)))
-        return layers
+        parts = zip(sources, meshes, weights, np.isfinite(costs), strict=True)
+        layers = tuple(_Layer(s, uv, w, near) for s, uv, w, near in parts if near.any())
+        return TileSketch(task, step, layers)
+
+    def render(self, sketch: TileSketch) -> tuple[Image, Mask | None] | None:
+        """Pixels (rows, cols, bands) and mask of a sketched tile; None where no photo shows it."""
+        while sketch.layers:
+            try:
+                return _render(sketch, self._read)
+            except InputError as error:
+                # Named once, then the tile is made from the photos that can be read.
+                self._drop(sketch, error)
+                sketch = self.sketch(sketch.task)
+        return None
+
+    def _drop(self, sketch: TileSketch, error: InputError) -> None:
+        self._broken.append(str(error))
+        for layer in sketch.layers:
+            try:
+                self._read(*layer.key)
+            except InputError:
+                self._sources.pop(layer.source.photo.id, None)
 
     def _cost(self, source: MosaicSource, p_enu: Array, uv: Array, step: int) -> Array:
         """Distance from the nadir, m, growing towards the rim; inf beyond it."""
         pose, camera = source.photo.pose, source.photo.camera
         d = np.hypot(p_enu[..., 0] - pose.origin_enu[0], p_enu[..., 1] - pose.origin_enu[1])
-        w, h = camera.width, camera.height
-        u, v = uv[..., 0], uv[..., 1]
-        edge = np.minimum(np.minimum(u + 0.5, w - 0.5 - u), np.minimum(v + 0.5, h - 0.5 - v))
-        rim = RIM * min(w, h)
+        edge = _edge_distance(uv, camera.width, camera.height)
+        rim = RIM * min(camera.width, camera.height)
         # Nodes a cell outside still count: a corner of the photo may lie between nodes.
         margin = -3.0 * step * source.reduce - rim
-        penalty = 2.0 * source.reach * np.clip(1.0 - edge / rim, 0.0, None)
+        penalty = RIM_PENALTY * source.reach * np.clip(1.0 - edge / rim, 0.0, None)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(edge > margin, d + penalty, np.inf))
 
@@ -142,37 +185,132 @@ class NadirMosaic:
         return np.asarray(np.clip(1.0 - lead / self._band, 0.0, 1.0))
 
 
-@dataclass(frozen=True, slots=True)
-class _Layer:
-    """A photo on a window: pixels, where it shows the ground, weight of each pixel."""
+def _edge_distance(uv: NDArray[np.floating[Any]], width: int, height: int) -> Array:
+    """Distance, px, of pixels from the outer edge of an image, negative outside; (...)."""
+    u, v = uv[..., 0], uv[..., 1]
+    edge = np.minimum(np.minimum(u + 0.5, width - 0.5 - u), np.minimum(v + 0.5, height - 0.5 - v))
+    return np.asarray(edge)
+
+
+def _render(
+    sketch: TileSketch, read: Callable[[Path, int], Image]
+) -> tuple[Image, Mask | None] | None:
+    """Render a tile block by block: most blocks show one photo alone and need no blending."""
+    window, step = sketch.task.window, sketch.step
+    shape = (window.height, window.width)
+    maps = [upsample(layer.uv, step, shape) for layer in sketch.layers]
+    first = read(*sketch.keys[0])
+    out = np.zeros((*shape, first.shape[2]), dtype=first.dtype)
+    mask = np.zeros(shape, dtype=np.bool_)
+    cells = BLOCK // step
+    for row in range(0, window.height, BLOCK):
+        for col in range(0, window.width, BLOCK):
+            # Nodes of the block with one ring around: what its pixels are interpolated from.
+            nodes = (
+                slice(row // step, row // step + cells + 2),
+                slice(col // step, col // step + cells + 2),
+            )
+            pixels = (slice(row, row + BLOCK), slice(col, col + BLOCK))
+            views = [
+                _View(a, uv[pixels], nodes, step) for a, uv in zip(sketch.layers, maps, strict=True)
+            ]
+            _blend(_parts(views, read), out[pixels], mask[pixels])
+    if not mask.any():
+        return None
+    return (out, None) if mask.all() else (out, mask)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A layer on a block: pixel positions in the photo, and the nodes they come from."""
+
+    layer: _Layer
+    uv: NDArray[np.float32]
+    nodes: tuple[slice, slice]
+    step: int
+
+    def inside(self) -> Mask | None:
+        """Where the photo shows the ground; None = everywhere."""
+        camera = self.layer.source.photo.camera
+        # Bilinear between nodes that lie inside stays inside.
+        if np.all(_edge_distance(self.layer.uv[self.nodes], camera.width, camera.height) > 0):
+            return None
+        inside = inside_image(self.uv, camera.width, camera.height)
+        return None if inside.all() else inside
+
+
+def _parts(views: list[_View], read: Callable[[Path, int], Image]) -> list[_Part]:
+    """Photos that make up a block: those that count, then those that fill what is left open."""
+    parts: list[_Part] = []
+    counting = [v for v in views if v.layer.weight[v.nodes].any()]
+    open_pixels: Mask | None = None
+    for view in [*counting, *(v for v in views if v not in counting)]:
+        if open_pixels is not None and not open_pixels.any():
+            # Covered; one that counts may still share in it.
+            if view not in counting:
+                break
+        elif view not in counting and not view.layer.near[view.nodes].any():
+            continue
+        inside = view.inside()
+        if inside is not None and not inside.any():
+            continue
+        if view not in counting and open_pixels is not None:
+            inside = open_pixels if inside is None else inside & open_pixels
+            if not inside.any():
+                continue
+        image = read(*view.layer.key)
+        data = sample(image, view.uv, reduce=view.layer.source.reduce)
+        parts.append(_Part(data, inside, view))
+        left = np.zeros(view.uv.shape[:2], np.bool_) if inside is None else ~inside
+        open_pixels = left if open_pixels is None else open_pixels & left
+    return parts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A photo over a block: pixels, and where it shows the ground (None = everywhere)."""
 
     data: Image
-    inside: Mask
-    weight: NDArray[np.float32]
+    inside: Mask | None
+    view: _View
+
+    def weight(self) -> NDArray[np.float32]:
+        """Weight per pixel, a trace of it at least: where the others end, it is the only one."""
+        layer, nodes = self.view.layer, self.view.nodes
+        w = upsample(layer.weight[nodes], self.view.step, self.data.shape[:2])
+        camera = layer.source.photo.camera
+        if not np.all(_edge_distance(layer.uv[nodes], camera.width, camera.height) > SOFT_RIM):
+            edge = _edge_distance(self.view.uv, camera.width, camera.height)
+            w = w * np.clip(edge / np.float32(SOFT_RIM), 0.0, 1.0)
+        w = np.maximum(w, TRACE)
+        return w if self.inside is None else np.where(self.inside, w, np.float32(0.0))
 
 
-def _blend(layers: list[_Layer]) -> tuple[Image, Mask | None] | None:
-    """Weighted mean of the layers, and where there is any; None without a layer."""
-    if not layers:
-        return None
-    first = layers[0]
-    if len(layers) == 1:
-        return _masked(first.data, first.inside)
-    total = np.zeros(first.data.shape, dtype=np.float32)
-    norm = np.zeros(first.inside.shape, dtype=np.float32)
-    for layer in layers:
-        # A trace of weight everywhere inside: where the others end, it is the only one.
-        w = np.where(layer.inside, np.maximum(layer.weight, TRACE), np.float32(0.0))
-        total += layer.data * w[..., None]
-        norm += w
-    mean = total / np.where(norm > 0, norm, np.float32(1.0))[..., None]
-    if np.issubdtype(first.data.dtype, np.integer):
-        mean = np.rint(mean)
-    return _masked(mean.astype(first.data.dtype), norm > 0)
-
-
-def _masked(data: Image, mask: Mask) -> tuple[Image, Mask | None]:
-    if mask.all():
-        return data, None
-    data[~mask] = 0
-    return data, mask
+def _blend(parts: list[_Part], out: Image, mask: Mask) -> None:
+    """Weighted mean of the parts into a block of a tile."""
+    if not parts:
+        return
+    if len(parts) == 1:
+        inside = parts[0].inside
+        if inside is None:
+            out[...] = parts[0].data
+            mask[...] = True
+        else:
+            np.copyto(out, parts[0].data, where=inside[..., None])
+            mask[...] = inside
+        return
+    weights = [part.weight() for part in parts]
+    norm = np.sum(weights, axis=0)
+    valid = norm > 0
+    norm[~valid] = 1.0
+    mean = sum(
+        cv2.multiply(part.data, cv2.merge([w / norm] * out.shape[2]), dtype=cv2.CV_32F).reshape(
+            out.shape
+        )
+        for part, w in zip(parts, weights, strict=True)
+    )
+    # Positive values: adding a half and cutting rounds to the nearest.
+    integer = np.issubdtype(out.dtype, np.integer)
+    np.copyto(out, mean + np.float32(0.5) if integer else mean, casting="unsafe")
+    out[~valid] = 0
+    mask[...] = valid

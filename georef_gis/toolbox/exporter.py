@@ -27,8 +27,9 @@ LAYER_KINDS: dict[str, str] = {
     "poses": "vector",
     "footprints": "vector",
     "control": "vector",
-    "orthos": "raster",
+    # The first of a kind is the default of an exporter that accepts it.
     "mosaic": "raster",
+    "orthos": "raster",
 }
 RASTER_SUFFIXES = (".tif", ".tiff", ".vrt")
 VECTOR_SUFFIXES = (".gpkg", ".geojson", ".fgb", ".shp")

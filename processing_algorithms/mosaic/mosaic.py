@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +13,16 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, che
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.model.photo import Photo
     from georef_gis.model.plan import Plan
-    from georef_gis.mosaic.nadir import NadirMosaic
-    from georef_gis.rasters.warp import ImageCache
+    from georef_gis.mosaic.nadir import NadirMosaic, TileSketch
+    from georef_gis.rasters.warp import Image, ImageCache
     from georef_gis.rasters.writer import TiledWriter
     from processing_algorithms.site import Site
+
+
+# tiles whose geometry is known before their photos are read
+LOOKAHEAD = 256
 
 
 class MosaicParameters(p.Parameters):
@@ -51,8 +57,9 @@ class MosaicTool(Algorithm[MosaicParameters]):
 
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
+        from georef_gis.errors import GeometryError
         from georef_gis.model.plan import plan_tiles
-        from georef_gis.rasters.warp import ImageCache
+        from georef_gis.rasters.warp import ImageCache, one_thread_each
         from georef_gis.rasters.writer import TiledWriter
         from georef_gis.rectify.grids import plan_grid
         from processing_algorithms.rasters import profile_for
@@ -69,17 +76,24 @@ class MosaicTool(Algorithm[MosaicParameters]):
         usable, refused = _same_kind(site, list(footprints))
         footprints = {k: footprints[k] for k in usable}
         grid = plan_grid(list(footprints.values()), site.frame, gsd=gsd)
-        plan = plan_tiles(grid, {k: f.ring_map for k, f in footprints.items()})
-        bands, dtype = _bands(site, cache, usable)
+        plan = plan_tiles(
+            grid,
+            {k: f.ring_map for k, f in footprints.items()},
+            capacity=cache.capacity(_largest_image(site, usable)),
+        )
+        kind = bands, dtype = _kind(site, cache, usable)
         profile = profile_for(
             project, site.frame, grid, bands=bands, dtype=dtype,
             title=project.settings.project.name or "mosaic",
         )  # fmt: skip
         target = project.products / "mosaic.tif"
         broken: list[str] = []
-        mosaic = _renderer(site, footprints, grid, cache, broken)
-        with TiledWriter(target, profile) as writer:
-            valid = _render(mosaic, plan, writer, context.workers, feedback)
+        mosaic = _renderer(site, footprints, grid, cache, broken, kind)
+        # One thread a tile: OpenCV's own threads cost more than they gain on pieces this small.
+        with one_thread_each(), TiledWriter(target, profile) as writer:
+            valid = _render(mosaic, plan, cache, writer, max(1, context.workers), feedback)
+            if not valid:
+                raise GeometryError(broken[0] if broken else "no photo shows the ground")
         for message in dict.fromkeys([*refused, *broken]):
             feedback.warn(message)
         pixel = grid.pixel * site.gsd_unit
@@ -97,23 +111,39 @@ class MosaicTool(Algorithm[MosaicParameters]):
         return Result(outputs={"mosaic": target}, summary=summary)
 
 
+def _largest_image(site: Site, names: Sequence[str]) -> int:
+    """Bytes of the largest photo, decoded to 8 bits."""
+    photos = [site.photos[name].photo for name in names]
+    return max(photo.width * photo.height * photo.bands for photo in photos)
+
+
 def _same_kind(site: Site, names: list[str]) -> tuple[list[str], list[str]]:
-    """Photos with the most common number of bands; the others cannot be in one picture."""
+    """Photos with the most common number and depth of bands; others cannot be in one picture."""
     from georef_gis.errors import GeometryError
 
-    bands = Counter(site.photos[k].photo.bands for k in names)
-    if not bands:
+    kinds = {k: _stated_kind(site.photos[k].photo) for k in names}
+    if not kinds:
         raise GeometryError("no photo has a footprint")
-    most = bands.most_common(1)[0][0]
+    most = Counter(kinds.values()).most_common(1)[0][0]
     refused = [
-        f"{k}: {site.photos[k].photo.bands} bands where the others have {most}: not in the mosaic"
-        for k in names
-        if site.photos[k].photo.bands != most
+        f"{site.photos[k].photo.path.name}: has bands x bits {own[0]} x {own[1]} where most photos "
+        f"have {most[0]} x {most[1]}: not in the mosaic; make it a mosaic of its own"
+        for k, own in kinds.items()
+        if own != most
     ]
-    return [k for k in names if site.photos[k].photo.bands == most], refused
+    return [k for k, own in kinds.items() if own == most], refused
 
 
-def _bands(site: Site, cache: ImageCache, names: Sequence[str]) -> tuple[int, str]:
+def _stated_kind(photo: Photo) -> tuple[int, int]:
+    """Number of bands and bits of each, as the tags say; a JPEG has 8."""
+    from georef_gis.ingest.tags import numbers
+
+    bits = numbers(photo.tags, "EXIF:BitsPerSample")
+    tiff = photo.path.suffix.lower() in (".tif", ".tiff")
+    return photo.bands, int(bits[0]) if tiff and bits else 8
+
+
+def _kind(site: Site, cache: ImageCache, names: Sequence[str]) -> tuple[int, str]:
     """Number and type of the bands of the first photo that can be read."""
     from georef_gis.errors import InputError
 
@@ -134,6 +164,7 @@ def _renderer(
     grid: Any,
     cache: ImageCache,
     broken: list[str],
+    kind: tuple[int, str],
 ) -> NadirMosaic:
     from georef_gis.mosaic.nadir import NadirMosaic, mosaic_source
     from georef_gis.rasters.warp import reduction_for
@@ -157,38 +188,68 @@ def _renderer(
         ground,
         grid,
         gsd=pixel,
-        read=lambda source: cache.get(source.photo.photo.path, source.reduce),
+        read=_checked(cache, kind),
         broken=broken,
     )
 
 
+def _checked(cache: ImageCache, kind: tuple[int, str]) -> Callable[[Path, int], Image]:
+    """Reader of photos that refuses those whose bands are not the mosaic's."""
+    from georef_gis.errors import InputError
+
+    def read(path: Path, reduce: int) -> Image:
+        image = cache.get(path, reduce)
+        own = (int(image.shape[2]), str(image.dtype))
+        if own != kind:
+            raise InputError(
+                f"has bands {own[0]} x {own[1]} where the mosaic has {kind[0]} x {kind[1]}: not in "
+                "the mosaic; make it a mosaic of its own",
+                source=path.name,
+            )
+        return image
+
+    return read
+
+
 def _render(
-    mosaic: NadirMosaic, plan: Plan, writer: TiledWriter, workers: int, feedback: Feedback
+    mosaic: NadirMosaic,
+    plan: Plan,
+    cache: ImageCache,
+    writer: TiledWriter,
+    workers: int,
+    feedback: Feedback,
 ) -> int:
-    """Render the tiles, a few ahead of the writer; number of valid pixels."""
-    valid = 0
-    with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
-        ahead: deque[tuple[Any, Future[Any]]] = deque()
-        tasks = iter(plan.tiles)
-        done = 0
+    """Render the tiles, a few ahead of the writer; number of valid pixels.
+
+    The geometry of `LOOKAHEAD` tiles is known before their photos are read, so that the cache can
+    tell which photo is needed last.
+    """
+    valid = done = 0
+    sketches: deque[tuple[int, TileSketch]] = deque()
+    numbered = enumerate(plan.tiles)
+    ahead: deque[tuple[int, TileSketch, Future[Any]]] = deque()
+    with ThreadPoolExecutor(max_workers=workers) as pool:
         try:
             while True:
-                while len(ahead) < 2 * max(1, workers):
-                    task = next(tasks, None)
-                    if task is None:
-                        break
-                    ahead.append((task, pool.submit(mosaic.tile, task)))
+                for number, task in islice(numbered, LOOKAHEAD - len(sketches)):
+                    sketch = mosaic.sketch(task)
+                    cache.announce(number, sketch.keys)
+                    sketches.append((number, sketch))
+                while sketches and len(ahead) <= workers:
+                    number, sketch = sketches.popleft()
+                    ahead.append((number, sketch, pool.submit(mosaic.render, sketch)))
                 if not ahead:
                     return valid
-                task, job = ahead.popleft()
+                number, sketch, job = ahead.popleft()
                 tile = job.result()
+                cache.finished(number, sketch.keys)
                 if tile is not None:
                     data, mask = tile
-                    writer.write_tile(task.row, task.col, data, mask)
+                    writer.write_tile(sketch.task.row, sketch.task.col, data, mask)
                     valid += data.shape[0] * data.shape[1] if mask is None else int(mask.sum())
                 done += 1
                 feedback.progress(done / len(plan.tiles), f"tile {done} of {len(plan.tiles)}")
                 check_cancelled(feedback)
         finally:
-            for _, job in ahead:
+            for _, _, job in ahead:
                 job.cancel()
