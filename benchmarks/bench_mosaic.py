@@ -73,10 +73,11 @@ def main() -> None:
         subprocess.run([georef, "run", str(project)], check=True, capture_output=True)
         tiles = tiles_of(project)
         floor = [sys.executable, str(HERE / "floor_mosaic.py"), str(args.folder), str(tiles)]
+        run = [georef, "run", str(project)]
         contestants = {
             "floor: decode + one remap each + encode tiles": floor,
-            "georef run --only mosaic": [georef, "run", str(project), "--only", "mosaic", "--force"],
-            "georef run --only orthos": [georef, "run", str(project), "--only", "orthos", "--force"],
+            "georef run --only mosaic": [*run, "--only", "mosaic", "--force"],
+            "georef run --only orthos": [*run, "--only", "orthos", "--force"],
         }
         results: dict[str, list[tuple[float, float, float]]] = {k: [] for k in contestants}
         for i in range(args.runs + 1):
@@ -87,7 +88,8 @@ def main() -> None:
         base = statistics.median(r[0] for r in results[next(iter(contestants))])
         print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, "
               f"Python {platform.python_version()}; {tiles} tiles\n")  # fmt: skip
-        print("| what | CPU s, median (range) | wall s | peak MB | CPU / floor |\n|---|---|---|---|---|")
+        print("| what | CPU s, median (range) | wall s | peak MB | CPU / floor |")
+        print("|---|---|---|---|---|")
         for name, runs in results.items():
             print(row(name, runs, base))
         if args.orthority:
