@@ -30,6 +30,8 @@ Key = tuple[Path, int]
 
 # bytes; what decoded photos may take together
 CACHE_BYTES = 275_000_000
+# px; windows are warped in blocks of this side, a multiple of every mesh step
+BLOCK = 128
 # glibc's number of the option that limits its heaps
 M_ARENA_MAX = -8
 # Decoders reduce by these; a photo is reduced when the grid is at least this much coarser.
@@ -223,13 +225,56 @@ def warp_window(
         Where the photo shows the ground; None = everywhere.
         The pair is None where the photo does not reach the window.
     """
-    uv_mesh = photo.project(ground.enu_at(grid, node_positions(window, step)))
-    uv = upsample(uv_mesh, step, (window.height, window.width))
-    mask = inside_image(uv, photo.camera.width, photo.camera.height)
-    if not mask.any():
+    nodes = photo.project(ground.enu_at(grid, node_positions(window, step)))
+    width, height = photo.camera.width, photo.camera.height
+    if all_outside(nodes, width, height):
         return None
-    data = sample(image, uv, reduce=reduce)
+    shape = (window.height, window.width)
+    uv = upsample(nodes, step, shape)
+    if all_inside(nodes, width, height):
+        return sample(image, uv, reduce=reduce), None
+    data = np.zeros((*shape, image.shape[2]), dtype=image.dtype)
+    mask = np.zeros(shape, dtype=np.bool_)
+    for pixels, cells in blocks(window, step):
+        part = nodes[cells]
+        if all_outside(part, width, height):
+            continue
+        data[pixels] = sample(image, uv[pixels], reduce=reduce)
+        if all_inside(part, width, height):
+            mask[pixels] = True
+        else:
+            mask[pixels] = inside = inside_image(uv[pixels], width, height)
+            blank(data[pixels], inside)
     if mask.all():
         return data, None
-    data[~mask] = 0
-    return data, mask
+    return (data, mask) if mask.any() else None
+
+
+def blank(data: Image, keep: Mask) -> None:
+    """Set the pixels (rows, cols, bands) that are not kept to zero."""
+    np.copyto(data, 0, where=~keep[..., None])
+
+
+def blocks(window: Window, step: int) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Blocks of a window: their pixels, and the mesh nodes that these are interpolated from."""
+    cells = BLOCK // step + 2
+    for row in range(0, window.height, BLOCK):
+        for col in range(0, window.width, BLOCK):
+            i, j = row // step, col // step
+            pixels = (slice(row, row + BLOCK), slice(col, col + BLOCK))
+            yield pixels, (slice(i, i + cells), slice(j, j + cells))
+
+
+def all_inside(uv: Array, width: int, height: int) -> bool:
+    """Whether all nodes, and so all that is bilinear between them, lie in an image."""
+    u, v = uv[..., 0], uv[..., 1]
+    # NaN compares as false: a node without a pixel is not inside.
+    return bool(
+        u.min() >= 0.0 and v.min() >= 0.0 and u.max() <= width - 1 and v.max() <= height - 1
+    )
+
+
+def all_outside(uv: Array, width: int, height: int) -> bool:
+    """Whether all nodes lie beyond one side of an image, and so all that is between them."""
+    u, v = uv[..., 0], uv[..., 1]
+    return bool(u.max() < -0.5 or v.max() < -0.5 or u.min() > width - 0.5 or v.min() > height - 0.5)
