@@ -50,12 +50,9 @@ def utc_from_gps(seconds_gps: float) -> datetime:
 
     Within an inserted leap second the instant is that of the second before it.
     """
-    guess = GPS_ZERO + timedelta(seconds=seconds_gps)
-    for step in range(gps_minus_utc(guess) + 1):
-        utc = guess - timedelta(seconds=gps_minus_utc(guess) - step)
-        if gps_minus_utc(utc) == gps_minus_utc(guess) - step:
-            return utc
-    return guess
+    # The inserted second i + 1 lies at step + i of the GPS scale.
+    starts = ((step - GPS_ZERO).total_seconds() + i for i, step in enumerate(LEAP_SECONDS))
+    return GPS_ZERO + timedelta(seconds=seconds_gps - sum(seconds_gps >= s for s in starts))
 
 
 def gps_from_week(week: int, tow_s: float) -> float:

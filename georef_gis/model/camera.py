@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
 
-CameraModel = Literal["brown", "fisheye", "fisheye_pix4d"]
-CAMERA_MODELS: tuple[CameraModel, ...] = ("brown", "fisheye", "fisheye_pix4d")
+CameraModel = Literal["brown", "brown_inverse", "fisheye", "fisheye_pix4d"]
+CAMERA_MODELS: tuple[CameraModel, ...] = ("brown", "brown_inverse", "fisheye", "fisheye_pix4d")
 # Order of the parameters wherever they stand in one vector.
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
 
@@ -22,9 +22,11 @@ PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
 class Camera:
     """Interior orientation of one camera, pixels; (0, 0) is the centre of the first pixel.
 
-    Models, each from ideal to distorted as in OpenCV:
+    Models, each but one from ideal to distorted as in OpenCV:
 
     - `brown`: x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y' alike;
+    - `brown_inverse`: the same polynomial from distorted to ideal, for a calibration of that
+      direction that no `brown` fits (`photo_mm`);
     - `fisheye`: theta' = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8);
     - `fisheye_pix4d`: rho = t + poly[0] t^2 + poly[1] t^3 with t = 2 theta / pi, and `fx`, `fy`
       pixels per unit of rho (Pix4D's C and F; D and E must be zero or in `b2`).
@@ -157,15 +159,20 @@ class Camera:
             return uv
         v = np.zeros(3) if velocity_cam is None else np.asarray(velocity_cam, float)
         w = np.zeros(3) if rate_cam is None else np.asarray(rate_cam, float)
-        for _ in range(4):
-            t = (uv[..., 1:] / max(self.height - 1, 1) - 0.5) * self.readout_s
+        for _ in range(6):
+            t = self.row_time(uv[..., 1:])
             # The scene moves against the camera: to first order in the readout time.
             uv = self._project_static(p - t * (v + np.cross(w, p)))
         return uv
 
+    def row_time(self, v: ArrayLike) -> Array:
+        """When rows are exposed, s from the middle of the readout; shape (...) px -> (...)."""
+        rows = max(self.height - 1, 1)
+        return np.asarray((np.asarray(v, dtype=np.float64) / rows - 0.5) * self.readout_s)
+
     def _project_static(self, p: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            if self.model == "brown":
+            if self._has_plane:
                 z = np.where(p[..., 2] > 0, p[..., 2], np.nan)
                 xy = self.distort(p[..., :2] / z[..., None])
             else:
@@ -180,8 +187,16 @@ class Camera:
         u = self.cx + (self.fx + self.b1) * x + self.b2 * y
         return np.stack([u, self.cy + self.fy * y], axis=-1)
 
+    @property
+    def _has_plane(self) -> bool:
+        """Whether directions are points of the plane z = 1 (Brown) or angles (fisheye)."""
+        return self.model in ("brown", "brown_inverse")
+
     def distort(self, xy: Array) -> Array:
         """Distorted from ideal normalised coordinates (Brown); NaN beyond the valid radius."""
+        return self._solve(xy) if self.model == "brown_inverse" else self._polynomial(xy)
+
+    def _polynomial(self, xy: Array) -> Array:
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
@@ -216,7 +231,7 @@ class Camera:
         y = (uv[..., 1] - self.cy) / self.fy
         x = (uv[..., 0] - self.cx - self.b2 * y) / (self.fx + self.b1)
         xy = np.stack([x, y], axis=-1)
-        if self.model == "brown":
+        if self._has_plane:
             ideal = self.undistort(xy)
             d = np.concatenate([ideal, np.ones_like(x)[..., None]], axis=-1)
         else:
@@ -227,7 +242,11 @@ class Camera:
         return np.asarray(d / np.linalg.norm(d, axis=-1, keepdims=True))
 
     def undistort(self, xy: Array) -> Array:
-        """Ideal from distorted normalised coordinates (Brown), by Newton's method to 1e-12."""
+        """Ideal from distorted normalised coordinates (Brown); NaN beyond the valid radius."""
+        return self._polynomial(xy) if self.model == "brown_inverse" else self._solve(xy)
+
+    def _solve(self, xy: Array) -> Array:
+        """Inverse of `_polynomial` by Newton's method to 1e-12."""
         ideal = np.array(xy, dtype=np.float64, copy=True)
         if not np.any([self.k1, self.k2, self.k3, self.p1, self.p2]):
             return ideal
@@ -253,7 +272,7 @@ class Camera:
                 axis=-1,
             )
             ideal = ideal + step
-            if not np.nanmax(np.abs(step), initial=0.0) > 1e-13:
+            if np.max(np.abs(step), initial=0.0, where=np.isfinite(step)) <= 1e-13:
                 break
         inside = np.sum(ideal**2, axis=-1) < _turning_radius(self.k1, self.k2, self.k3) ** 2
         good = inside & np.all(np.abs(residual) < 1e-9, axis=-1)

@@ -13,7 +13,7 @@ from georef_gis.model.terrain import Terrain
 
 def locate(photo: OrientedPhoto, uv: ArrayLike, terrain: Terrain) -> Array:
     """Ground points, m in enu, that pixels show; shape (..., 2) -> (..., 3), NaN on a miss."""
-    return terrain.intersect(photo.pose.origin_enu, photo.ray(uv))
+    return terrain.intersect(*photo.rays(uv))
 
 
 def ground_normal(terrain: Terrain, p_enu: Array, *, base: float = 1.0) -> Array:
@@ -45,7 +45,8 @@ def ground_point_jacobians(
     error e of P across the ray is moved back along the ray: P = (I - d n^T / (n . d)) e + ...
     """
     n = ground_normal(terrain, p_enu)
-    ray = p_enu - photo.pose.origin_enu
+    uv = photo.project(p_enu)
+    ray = p_enu - photo.rays(uv)[0]
     distance = float(np.linalg.norm(ray))
     d = ray / distance
     grazing = float(n @ d)
@@ -54,11 +55,10 @@ def ground_point_jacobians(
     onto_ground = np.eye(3) - np.outer(d, n) / grazing
     J_pose = onto_ground @ np.hstack([np.eye(3), -skew(ray)])
     J_height = d / grazing
-    uv = photo.project(p_enu)
     h = 0.5
-    steps = np.array([[h, 0], [-h, 0], [0, h], [0, -h]])
-    rays = photo.ray(uv + steps) * distance
-    J_ray = np.stack([(rays[0] - rays[1]) / (2 * h), (rays[2] - rays[3]) / (2 * h)], axis=1)
+    origins, directions = photo.rays(uv + np.array([[h, 0], [-h, 0], [0, h], [0, -h]]))
+    ends = origins + directions * distance
+    J_ray = np.stack([(ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)], axis=1)
     return J_pose, J_height, onto_ground @ J_ray
 
 

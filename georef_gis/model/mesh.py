@@ -8,15 +8,17 @@ import numpy as np
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
-from georef_gis.geodesy import MapFrame
+from georef_gis.geodesy import MapFrame, metres_per_unit
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.photo import OrientedPhoto
-from georef_gis.model.terrain import Terrain
+from georef_gis.model.terrain import DemTerrain, Terrain
 
 # m; the polynomial may differ from the rigorous way by this much
 LOCAL_MAP_TOLERANCE = 2e-4
 # px; a mesh is refined until the middle of its cells is this good (a fifth of what is promised)
 MESH_TOLERANCE = 0.02
+# px; what kinks of the ground may add, looked for at every half cell of a DEM
+RELIEF_TOLERANCE = 0.06
 MESH_STEPS = (64, 32, 16, 8, 4, 2, 1)
 # places along each side of a window at which a step is tried
 PROBES = 12
@@ -70,8 +72,54 @@ class LocalMap:
 
 def _terms(t: Array) -> Array:
     x, y, h = t[:, 0], t[:, 1], t[:, 2]
-    plane = [np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3]
-    return np.stack([*plane, h, h * x, h * y], axis=1)
+    return np.column_stack([_plane_terms(t[:, :2]), h, h * x, h * y])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanePolynomial:
+    """From one map to another over one site, cubic in the plane."""
+
+    centre: Array
+    scale: Array
+    coefficients: Array
+
+    @classmethod
+    def between(
+        cls, frame: MapFrame, dem: DemTerrain, bounds: tuple[float, float, float, float]
+    ) -> PlanePolynomial | None:
+        """From a map to a DEM's CRS over bounds; None where it would miss by 1 % of a cell."""
+        left, bottom, right, top = bounds
+        centre = np.array([(left + right) / 2, (bottom + top) / 2])
+        scale = np.maximum(np.array([right - left, top - bottom]) / 2, 1e-6)
+        level = float(np.nanmean(dem.heights))
+
+        def rigorous(t: Array) -> Array:
+            p = np.concatenate([centre + t * scale, np.full((len(t), 1), level)], axis=-1)
+            return dem.frame.map_from_geo(frame.geo_from_map(p))[:, :2]
+
+        t = np.cos(np.pi * (np.arange(7) + 0.5) / 7)
+        nodes = np.stack(np.meshgrid(t, t, indexing="ij"), -1).reshape(-1, 2)
+        values = rigorous(nodes)
+        if not np.all(np.isfinite(values)):
+            return None
+        coefficients, *_ = np.linalg.lstsq(_plane_terms(nodes), values, rcond=None)
+        check = np.random.default_rng(0).uniform(-1, 1, size=(40, 2))
+        error = np.abs(_plane_terms(check) @ coefficients - rigorous(check)).max(axis=0)
+        if np.any(error > 0.01 * np.abs(dem.cell)):
+            return None
+        return cls(centre, scale, coefficients.astype(np.float64))
+
+    def __call__(self, xy: Array) -> Array:
+        """Coordinates in the other map; shape (..., 2)."""
+        t = ((xy - self.centre) / self.scale).reshape(-1, 2)
+        return np.asarray((_plane_terms(t) @ self.coefficients).reshape(xy.shape))
+
+
+def _plane_terms(t: Array) -> Array:
+    x, y = t[:, 0], t[:, 1]
+    return np.stack(
+        [np.ones_like(x), x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3], axis=1
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,18 +128,30 @@ class Ground:
 
     local: LocalMap
     terrain: Terrain
+    # (easting, northing) of the map to those of a DEM in another CRS; None = one CRS or no DEM
+    to_dem: PlanePolynomial | None = None
 
     @classmethod
     def of(
         cls, frame: MapFrame, grid: Grid, terrain: Terrain, heights: tuple[float, float]
     ) -> Ground:
         """Ground under a grid; `heights` is the range of ellipsoidal heights, m."""
-        return cls(local=LocalMap.fit(frame, grid.bounds, heights), terrain=terrain)
+        to_dem = None
+        if isinstance(terrain, DemTerrain) and frame.horizontal != terrain.frame.horizontal:
+            to_dem = PlanePolynomial.between(frame, terrain, grid.bounds)
+        local = LocalMap.fit(frame, grid.bounds, heights)
+        return cls(local=local, terrain=terrain, to_dem=to_dem)
+
+    def heights_at(self, xy_map: Array) -> Array:
+        """Ellipsoidal height of the ground, m, at places of the map; (..., 2) -> (...)."""
+        if self.to_dem is not None and isinstance(self.terrain, DemTerrain):
+            return self.terrain.height_at_map(self.to_dem(xy_map))
+        return self.terrain.height_on_map(self.local.frame, xy_map)
 
     def enu_at(self, grid: Grid, colrow: Array) -> Array:
         """Ground points, m in enu, under grid positions; shape (..., 2) -> (..., 3)."""
         xy = grid.map_from_grid(colrow)
-        h = self.terrain.height_on_map(self.local.frame, xy)
+        h = self.heights_at(xy)
         return self.local.enu_from_map(np.concatenate([xy, h[..., None]], axis=-1))
 
 
@@ -113,7 +173,8 @@ def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window
     """Coarsest mesh step, px, whose bilinear interpolation is good to `MESH_TOLERANCE`.
 
     The middles of cells and of their sides, spread over the window, are compared with the
-    rigorous projection.
+    rigorous projection. That finds what is smooth; a bank of one DEM cell would slip through, so
+    the heights are compared everywhere.
     """
     places = np.stack(
         np.meshgrid(
@@ -122,6 +183,7 @@ def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window
         ),
         axis=-1,
     ).reshape(-1, 1, 2)
+    px_per_m = _pixels_per_height(photo, ground, grid, places)
     unit = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5], [0.5, 0], [0, 0.5]])
     for step in MESH_STEPS[:-1]:
         uv = photo.project(ground.enu_at(grid, places + unit * step))
@@ -129,6 +191,50 @@ def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window
         guess = np.stack([(a + b + c + d) / 4, (a + b) / 2, (a + c) / 2], axis=1)
         true = uv[:, 4:]
         error = np.abs(true - guess)[photo.contains(true)]
-        if np.all(np.isfinite(error)) and np.max(error, initial=0.0) <= MESH_TOLERANCE:
+        smooth = np.all(np.isfinite(error)) and np.max(error, initial=0.0) <= MESH_TOLERANCE
+        if smooth and _relief_error(ground, grid, window, step) * px_per_m <= RELIEF_TOLERANCE:
             return step
     return MESH_STEPS[-1]
+
+
+def _pixels_per_height(photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array) -> float:
+    """How far a pixel moves per metre of the ground's height, px/m, at most."""
+    p = ground.enu_at(grid, places)
+    uv = photo.project(p)
+    moved = np.abs(photo.project(p + np.array([0.0, 0.0, 1.0])) - uv)[photo.contains(uv)]
+    return float(np.max(moved, initial=0.0, where=np.isfinite(moved)))
+
+
+def _relief_error(ground: Ground, grid: Grid, window: Window, step: int) -> float:
+    """Largest error of heights interpolated between the nodes of a mesh, m."""
+    frame = ground.local.frame
+    cell = ground.terrain.detail / (grid.pixel * metres_per_unit(frame.horizontal))
+    if not np.isfinite(cell):
+        return 0.0
+    nodes = node_positions(window, step)
+    h = ground.heights_at(grid.map_from_grid(nodes))
+    spacing = float(np.clip(cell / 2.0, 1.0, step / 2.0))
+    cols = np.arange(0.5, window.width, spacing)
+    j, u = _split(cols, step)
+    worst = 0.0
+    rows_at_once = max(1, 500_000 // cols.size)
+    all_rows = np.arange(0.5, window.height, spacing)
+    for first in range(0, all_rows.size, rows_at_once):
+        rows = all_rows[first : first + rows_at_once]
+        i, v = _split(rows, step)
+        across = h[:, j] * (1.0 - u) + h[:, j + 1] * u
+        guess = across[i] * (1.0 - v[:, None]) + across[i + 1] * v[:, None]
+        colrow = np.stack(np.meshgrid(window.col + cols, window.row + rows), axis=-1)
+        true = ground.heights_at(grid.map_from_grid(colrow))
+        error = np.abs(true - guess)
+        worst = max(worst, float(np.max(error, initial=0.0, where=np.isfinite(error))))
+    return worst
+
+
+def _split(
+    places: Array, step: int
+) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.intp]], Array]:
+    """Node before each place of a window and the share of a cell beyond it."""
+    t = places / step + 0.5
+    i = np.floor(t).astype(np.intp)
+    return i, t - i

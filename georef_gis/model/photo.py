@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from georef_gis.frames import Array
+from georef_gis.frames import Array, skew
 from georef_gis.geodesy import Height
 from georef_gis.model.camera import Camera
 from georef_gis.model.pose import Pose
@@ -115,7 +115,38 @@ class OrientedPhoto:
 
     def ray(self, uv: ArrayLike) -> Array:
         """Unit directions in enu of pixels; shape (..., 2) px -> (..., 3)."""
-        return self.pose.enu_directions(self.camera.ray(uv))
+        return self.rays(uv)[1]
+
+    def rays(self, uv: ArrayLike) -> tuple[Array, Array]:
+        """Where the rays of pixels start, m, and their unit directions, both in enu.
+
+        The inverse of `project`: with a rolling shutter each row has its own start.
+
+        Parameters
+        ----------
+        uv : shape (..., 2), px
+
+        Returns
+        -------
+        origins_enu, d_enu : shape (..., 3)
+        """
+        uv = np.asarray(uv, dtype=np.float64)
+        pose, camera = self.pose, self.camera
+        d_cam = camera.ray(uv)
+        moves = pose.velocity_enu is not None or pose.rate_enu is not None
+        if camera.readout_s == 0.0 or not moves:
+            d_enu = pose.enu_directions(d_cam)
+            return np.broadcast_to(pose.origin_enu, d_enu.shape), d_enu
+        t = camera.row_time(uv[..., 1])[..., None]
+        still = np.zeros(3)
+        v = still if pose.velocity_enu is None else pose.velocity_enu @ pose.R_enu_from_cam
+        w = still if pose.rate_enu is None else pose.rate_enu @ pose.R_enu_from_cam
+        # `project` sees s d = p - t (v + w x p), so p = (1 - t [w])^-1 (t v + s d).
+        turn = np.linalg.inv(np.eye(3) - t[..., None] * skew(w))
+        start = np.einsum("...ij,...j->...i", turn, t * v)
+        d = np.einsum("...ij,...j->...i", turn, d_cam)
+        d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+        return pose.origin_enu + pose.enu_directions(start), pose.enu_directions(d)
 
     def contains(self, uv: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Whether pixels lie in the image; shape (..., 2) -> (...)."""
