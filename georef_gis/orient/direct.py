@@ -27,6 +27,8 @@ SIGMA_LEVEL = math.radians(6.0)
 SIGMA_ANY_HEADING = math.pi / math.sqrt(3.0)
 # m; neighbours closer than this give no course
 SHORTEST_LEG = 4.0
+# a leg made good at less than this share of its neighbour's speed has a turn in it
+TURN_SPEED_SHARE = 0.4
 # rad; a photo tilted more than this shows no map
 TILT_LIMIT = math.radians(60.0)
 # m; lower than this a photo stands on the ground
@@ -65,8 +67,9 @@ class DirectPose:
 def courses_over_ground(photos: Sequence[Photo], origin: Origin) -> dict[str, float]:
     """Course made good, rad clockwise from north, from the positions of neighbours in time.
 
-    Of the legs before and after a photo the shorter counts where they differ by more than 45 deg
-    (a turn lies in the longer), else their mean. No entry where there is no leg.
+    The mean of the legs before and after a photo, unless a turn lies in one of them: where the
+    clocks tell, the one made good at less than `TURN_SPEED_SHARE` of the other's speed, else the
+    longer of two that differ by more than 45 deg. No entry where there is no leg.
     """
     tracked = [p for p in photos if p.geotag is not None]
     if len(tracked) < 2:
@@ -81,15 +84,37 @@ def courses_over_ground(photos: Sequence[Photo], origin: Origin) -> dict[str, fl
                 continue
             d = xy[k] - xy[j]
             if np.hypot(*d) >= SHORTEST_LEG:
-                legs.append(d)
+                legs.append((d, _seconds_between(tracked[j], tracked[k])))
         if not legs:
             continue
-        unit = [d / np.hypot(*d) for d in legs]
-        if len(legs) == 2 and unit[0] @ unit[1] < math.cos(math.pi / 4):
-            unit = [unit[int(np.argmin([np.hypot(*d) for d in legs]))]]
-        e, n = np.sum(unit, axis=0)
+        e, n = np.sum([d / np.hypot(*d) for d in _without_turn(legs)], axis=0)
         out[photo.id] = math.atan2(e, n)
     return out
+
+
+def _seconds_between(first: Photo, second: Photo) -> float | None:
+    """Time from one photo to the next, not less than its resolution, s; None where not known."""
+    if first.time_gps is not None and second.time_gps is not None:
+        return max(second.time_gps - first.time_gps, 1e-3)
+    if first.camera_clock is None or second.camera_clock is None:
+        return None
+    seconds = (second.camera_clock - first.camera_clock).total_seconds()
+    return max(seconds, first.clock_resolution_s)
+
+
+def _without_turn(legs: list[tuple[Array, float | None]]) -> list[Array]:
+    """Those of one or two legs (m, and the time they took) that were flown straight."""
+    if len(legs) < 2:
+        return [d for d, _ in legs]
+    (first, t_first), (second, t_second) = legs
+    a, b = float(np.hypot(*first)), float(np.hypot(*second))
+    if t_first is not None and t_second is not None:
+        v_first, v_second = a / t_first, b / t_second
+        if min(v_first, v_second) < TURN_SPEED_SHARE * max(v_first, v_second):
+            return [first if v_first > v_second else second]
+    if first @ second < math.cos(math.pi / 4) * a * b:
+        return [first if a <= b else second]
+    return [first, second]
 
 
 def direct_poses(
