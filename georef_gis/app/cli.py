@@ -296,6 +296,7 @@ def _finish(feedback: PlainFeedback, events: list[dict[str, Any]], lines: list[s
         for event in events:
             feedback.event("result", **event)
         return
+    feedback.say_warnings(told=[d for e in events for d in e["summary"].get("doubts", ())])
     feedback.__exit__()
     for line in lines:
         click.echo(line)

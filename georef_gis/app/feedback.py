@@ -8,10 +8,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
+
+from georef_gis.app.grouping import grouped
 
 # s between two messages of progress
 PAUSE = 0.1
@@ -43,24 +45,39 @@ class Stop:
 
 
 class PlainFeedback:
-    """Warnings and messages on standard error; progress is not shown."""
+    """Warnings and messages on standard error; progress is not shown.
+
+    Warnings are kept until the end, where those about many photos become one line, and what the
+    report of the run says too is not said twice.
+    """
 
     def __init__(self, stop: Stop) -> None:
         self.stop = stop
+        self._warnings: list[str] = []
 
     def __enter__(self) -> PlainFeedback:
         """Begin."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        """End."""
+        """End: say what was kept."""
+        self.say_warnings()
+
+    def say_warnings(self, told: Iterable[str] = ()) -> None:
+        """Write the warnings kept, but for those that are told elsewhere."""
+        kept, self._warnings = self._warnings, []
+        left = dict.fromkeys(kept)
+        for message in told:
+            left.pop(message, None)
+        for line in grouped(list(left)):
+            self._line(f"warning: {line}")
 
     def progress(self, fraction: float, message: str = "") -> None:
         """Show nothing: lines would fill a log."""
 
     def warn(self, message: str) -> None:
-        """Write a line."""
-        self._line(f"warning: {message}")
+        """Keep it for the end."""
+        self._warnings.append(message)
 
     def info(self, message: str) -> None:
         """Write a line."""
@@ -101,9 +118,11 @@ class BarFeedback(PlainFeedback):
         self._bar.start()
 
     def __exit__(self, *error: object) -> None:
-        """Take the bar away."""
+        """Take the bar away, then say what was kept."""
         if self._bar is not None:
             self._bar.stop()
+            self._bar = None
+        self.say_warnings()
 
     def _line(self, text: str) -> None:
         if self._bar is None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from georef_gis.app.grouping import grouped
 from georef_gis.toolbox.runner import StepReport, products_of
 
 # Lines of doubts shown; all are in the database.
@@ -78,9 +79,10 @@ def area_text(area_m2: float) -> str:
 
 
 def _doubt_lines(doubts: Sequence[str]) -> list[str]:
-    lines = [f"doubt  {doubt}" for doubt in doubts[:MOST_DOUBTS]]
-    if len(doubts) > MOST_DOUBTS:
-        lines.append(f"       and {len(doubts) - MOST_DOUBTS} more in the database, table run")
+    told = grouped(doubts)
+    lines = [f"doubt  {doubt}" for doubt in told[:MOST_DOUBTS]]
+    if len(told) > MOST_DOUBTS:
+        lines.append(f"       and {len(told) - MOST_DOUBTS} more in the database, table run")
     return lines
 
 

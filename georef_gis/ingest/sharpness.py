@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,12 +12,15 @@ from georef_gis.errors import InputError
 
 # px; the photo is decoded at half or a quarter of its size, about this wide at least
 WORKING_WIDTH = 1500
+# times as coarse is the detail that the finest is compared with: no usual blur reaches it
+COARSER = 8
 
 
 def sharpness(path: Path, width: int) -> float:
-    """Energy of the finest detail over that of detail twice as coarse; about 0.1 to 2.
+    """Energy of the finest detail over that of detail `COARSER` times as coarse; 0.1 to 2.
 
-    Blur takes the fine detail first, while bland ground lowers both alike.
+    Blur takes the fine detail first, while bland ground lowers both alike. The worse of the two
+    directions counts: motion smears along one only.
 
     Raises
     ------
@@ -30,10 +34,17 @@ def sharpness(path: Path, width: int) -> float:
     image = cv2.imdecode(raw, flags | cv2.IMREAD_IGNORE_ORIENTATION) if raw.size else None
     if image is None:
         raise InputError("cannot be decoded; is the file whole?", source=path.name)
-    half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    fine = float(cv2.meanStdDev(cv2.Laplacian(image, cv2.CV_16S))[1][0, 0])
-    coarse = float(cv2.meanStdDev(cv2.Laplacian(half, cv2.CV_16S))[1][0, 0])
-    return fine / max(coarse, 1e-6)
+    size = tuple(max(3, n // COARSER) for n in image.shape[1::-1])
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return min(
+        _energy(image, along) / max(_energy(small, along), 1e-6) for along in ((2, 0), (0, 2))
+    )
+
+
+def _energy(image: Any, along: tuple[int, int]) -> float:
+    """Root mean square of the second derivative along columns or rows."""
+    bend = cv2.Sobel(image, cv2.CV_16S, *along, ksize=3)
+    return float(cv2.meanStdDev(bend)[1][0, 0])
 
 
 def blurred(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[int]:

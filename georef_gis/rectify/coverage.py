@@ -46,7 +46,8 @@ def holes(grid: Grid, counts: NDArray[np.uint16], *, footprint_cells: float) -> 
     """Rings (n, 2) on the map of places amid the flown area that no photo shows.
 
     Places that are enclosed, and gaps between strips up to a third of a footprint wide even where
-    they are open at their ends; the ragged rim of the survey is none.
+    they are open at their ends; the ragged rim of the survey is none, where a notch is less than
+    half a footprint deep.
 
     Parameters
     ----------
@@ -59,7 +60,8 @@ def holes(grid: Grid, counts: NDArray[np.uint16], *, footprint_cells: float) -> 
     amid = _shrunk(closed, footprint_cells / 10)
     outside = covered.copy()
     cv2.floodFill(outside, np.zeros(np.add(covered.shape, 2), np.uint8), (0, 0), 2)
-    missing = ((outside == 0) | ((amid > 0) & (covered == 0))).astype(np.uint8)
+    gaps = _long((amid > 0) & (covered == 0), footprint_cells / 2)
+    missing = ((outside == 0) | gaps).astype(np.uint8)
     # A sliver as thin as a cell is the drawing's, not the flight's.
     missing = _grown(_shrunk(missing, 1.0), 1.0)
     rings = []
@@ -74,6 +76,19 @@ def footprint_side(footprints: Sequence[Footprint], grid: Grid, frame: MapFrame)
     """Root of the median area of footprints, in cells of a grid."""
     area = float(np.median([f.area_m2 for f in footprints]))
     return float(np.sqrt(area) / (grid.pixel * metres_per_unit(frame.horizontal)))
+
+
+def _long(mask: NDArray[np.bool_], length: float) -> NDArray[np.bool_]:
+    """The connected parts of a mask that are at least this long, cells."""
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    out = np.zeros(mask.shape, dtype=np.bool_)
+    for contour in cv2.findContours(
+        mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
+    )[0]:
+        if max(cv2.minAreaRect(contour)[1]) >= length:
+            col, row = contour[0, 0]
+            out |= labels == labels[row, col]
+    return out
 
 
 def _grown(mask: NDArray[np.uint8], radius: float) -> NDArray[np.uint8]:

@@ -50,7 +50,7 @@ def plan_grid(
     if count > LARGEST_GRID:
         raise InputError(
             f"{wanted:g} m over {(right - left) * unit:.0f} x {(top - bottom) * unit:.0f} m makes "
-            f"{count:.1e} px; use a coarser one",
+            f"{count:.1e} px; use a coarser one, or check the photos' positions",
             field="gsd",
         )
     return Grid.over((left, bottom, right, top), pixel=pixel, crs_wkt=frame.horizontal.to_wkt())

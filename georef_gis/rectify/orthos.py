@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+from georef_gis.errors import Cancelled
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.layers import Footprint, Ortho
 from georef_gis.model.mesh import Ground, choose_step
@@ -24,6 +26,7 @@ def write_ortho(
     path: Path,
     *,
     gsd: float,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> Ortho:
     """Write the ortho of one photo as a COG; it appears whole or not at all.
 
@@ -33,6 +36,13 @@ def write_ortho(
         The photo, decoded with `reduction_for(gsd, footprint.gsd)`.
     gsd
         Pixel size of the grid, m.
+    cancelled
+        Asked before each tile.
+
+    Raises
+    ------
+    Cancelled
+        If `cancelled` says so; nothing is left behind.
     """
     plan = plan_tiles(grid, {photo.id: footprint.ring_map}, tile_size=profile.tile_size)
     whole = Window(col=0, row=0, width=grid.width, height=grid.height)
@@ -40,6 +50,8 @@ def write_ortho(
     reduce = reduction_for(gsd, footprint.gsd)
     with TiledWriter(path, profile) as writer:
         for task in plan.tiles:
+            if cancelled():
+                raise Cancelled("stopped by the user")
             tile = warp_window(photo, image, ground, grid, task.window, step=step, reduce=reduce)
             if tile is not None:
                 writer.write_tile(task.row, task.col, tile[0], tile[1])

@@ -45,18 +45,22 @@ class Check(Algorithm[CheckParameters]):
     def run(self, context: Context, parameters: CheckParameters, feedback: Feedback) -> Result:
         """Check it."""
         from georef_gis.ingest.photos import find_photos, read_photos
+        from processing_algorithms.ingest.outliers import without_strays
 
         paths = find_photos(parameters.folder)
         result = read_photos(paths, workers=context.workers)
-        photos = list(result.photos)
-        doubts = [str(error) for _, error in result.refused]
+        photos, strays = without_strays(result.photos)
+        doubts = [*(str(error) for _, error in result.refused), *strays]
         doubts += [*result.doubts, *(d for photo in photos for d in photo.doubts)]
         soft = _unsharp(photos, context.workers, feedback)
         doubts += list(soft.values())
         frame, prints, more = _footprints(result, photos, parameters.height)
         doubts += more
         rings: list[Array] = []
-        summary: dict[str, Any] = {"photos": len(photos), "refused": len(result.refused)}
+        summary: dict[str, Any] = {
+            "photos": len(photos),
+            "refused": len(result.refused) + len(strays),
+        }
         if frame is not None and prints:
             rings, figures = _coverage(frame, prints)
             summary |= figures
@@ -182,16 +186,18 @@ def _coverage(frame: MapFrame, prints: list[Footprint]) -> tuple[list[Array], di
 
 def _motion(photos: list[Photo], prints: list[Footprint]) -> list[str]:
     """Photos that moved too far during their exposure, by speed and shutter of the tags."""
+    from georef_gis.ingest.tags import number
+
     gsd = {f.photo_id: f.gsd for f in prints}
     out = []
     for photo in photos:
-        exposure = photo.tags.get("EXIF:ExposureTime")
+        exposure = number(photo.tags, "EXIF:ExposureTime")
         if photo.ground_speed is None or exposure is None or photo.id not in gsd:
             continue
-        moved = photo.ground_speed * float(exposure) / gsd[photo.id]
+        moved = photo.ground_speed * exposure / gsd[photo.id]
         if moved > MOTION_LIMIT:
             out.append(
-                f"{photo.id}: moved {moved:.1f} px in {float(exposure) * 1000:.1f} ms at "
+                f"{photo.id}: moved {moved:.1f} px in {exposure * 1000:.1f} ms at "
                 f"{photo.ground_speed:.0f} m/s: use a shorter exposure"
             )
     return out
@@ -201,9 +207,7 @@ def _write_kml(
     target: Path, frame: MapFrame | None, rings: list[Array], soft: list[Footprint]
 ) -> None:
     """Polygons of the holes and of the blurred photos; whole or not at all."""
-    import os
-
-    from georef_gis.errors import ExportError
+    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
 
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
@@ -214,13 +218,10 @@ def _write_kml(
     for one in soft:
         if frame is not None:
             _polygon(document, f"{one.photo_id} (blurred)", frame, one.ring_map)
-    part = target.with_name(f".{target.name}.part")
-    try:
+    with export_errors(target, lambda: 0):
         target.parent.mkdir(parents=True, exist_ok=True)
-        ElementTree.ElementTree(root).write(part, encoding="utf-8", xml_declaration=True)
-        os.replace(part, target)
-    except OSError as error:
-        raise ExportError(f"{target}: cannot be written ({error.strerror})") from error
+        with whole_file(resolve_target(target)) as stream:
+            ElementTree.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
 
 
 def _polygon(document: ElementTree.Element, name: str, frame: MapFrame, ring_map: Array) -> None:

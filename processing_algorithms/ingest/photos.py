@@ -39,6 +39,7 @@ class ReadPhotos(Algorithm[p.Parameters]):
         """Read them."""
         from georef_gis.ingest.cameras import CameraOverride
         from georef_gis.ingest.photos import read_photos
+        from processing_algorithms.ingest.outliers import without_strays
 
         project = context.require_project()
         settings = project.settings
@@ -54,11 +55,12 @@ class ReadPhotos(Algorithm[p.Parameters]):
         result = read_photos(
             project.photo_files(), workers=context.workers, progress=progress, override=override
         )
-        photos = _with_pose_file(project, list(result.photos), feedback)
+        photos, doubts = _with_pose_file(project, list(result.photos))
+        photos, strays = without_strays(photos)
         photos = [_as_set(photo, project) for photo in photos]
         frame = _frame(project, photos)
-        refused = [str(error) for _, error in result.refused]
-        doubts = [*refused, *result.doubts, *(d for photo in photos for d in photo.doubts)]
+        refused = [*(str(error) for _, error in result.refused), *strays]
+        doubts = [*refused, *doubts, *result.doubts, *(d for p in photos for d in p.doubts)]
         for doubt in doubts:
             feedback.warn(doubt)
         _save(project, frame, photos, result.cameras)
@@ -72,13 +74,13 @@ class ReadPhotos(Algorithm[p.Parameters]):
         return Result(summary=summary)
 
 
-def _with_pose_file(project: Project, photos: list[Photo], feedback: Feedback) -> list[Photo]:
-    """Photos with positions and angles of the pose file, where it names them."""
+def _with_pose_file(project: Project, photos: list[Photo]) -> tuple[list[Photo], list[str]]:
+    """Photos with positions and angles of the pose file where it names them, and doubts."""
     from dataclasses import replace
 
     settings = project.settings.poses
     if settings.file is None:
-        return photos
+        return photos, []
     from georef_gis.ingest.poses import match_poses, read_poses
 
     tags = sorted((t.lat, t.lon) for photo in photos if (t := photo.geotag) is not None)
@@ -89,8 +91,9 @@ def _with_pose_file(project: Project, photos: list[Photo], feedback: Feedback) -
         near=tags[len(tags) // 2] if tags else None,
     )
     found, unknown = match_poses(poses, [photo.path.name for photo in photos])
+    doubts = []
     if len(found) < len(photos) or unknown:
-        feedback.warn(
+        doubts.append(
             f"{settings.file}: has poses of {len(found)} of {len(photos)} photos"
             + (f", and of {len(unknown)} that are not there" if unknown else "")
         )
@@ -98,7 +101,7 @@ def _with_pose_file(project: Project, photos: list[Photo], feedback: Feedback) -
     for photo in photos:
         geotag, attitude = found.get(photo.path.name, (photo.geotag, None))
         out.append(replace(photo, geotag=geotag, attitude=attitude or photo.attitude))
-    return out
+    return out, doubts
 
 
 def _as_set(photo: Photo, project: Project) -> Photo:

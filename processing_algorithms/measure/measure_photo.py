@@ -50,6 +50,7 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
         self, context: Context, parameters: MeasurePhotoParameters, feedback: Feedback
     ) -> Result:
         """Measure."""
+        from georef_gis.errors import GeometryError
         from georef_gis.measure.single_photo import (
             camera_field_of_view,
             lines_between,
@@ -58,6 +59,8 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
 
         photo, frame, terrain = _oriented(parameters)
         agl = float(photo.pose.origin_enu[2] - terrain.z_at(photo.pose.origin_enu[:2]))
+        if not math.isfinite(agl):
+            raise GeometryError(f"photo {photo.id}: the project's DEM has no height below it")
         fov = camera_field_of_view(photo.camera, agl)
         summary: dict[str, Any] = {
             "field_of_view_m": [round(fov.width, 4), round(fov.height, 4)],
@@ -105,10 +108,14 @@ def _oriented(
     if parameters.height or parameters.heading is not None or parameters.level:
         raise InputError("height, heading and level are the project's own where a site is given")
     site = load_site(Project.open(parameters.site, read_only=True))
-    for photo in site.photos.values():
-        if photo.photo.path.name == parameters.photo.name:
-            return photo, site.frame, site.terrain
-    raise InputError(f"has no photo '{parameters.photo.name}' with a pose", source="project")
+    given = parameters.photo
+    named = [photo for photo in site.photos.values() if photo.photo.path.name == given.name]
+    # Two cards may hold one name each: then the path tells them apart.
+    same = [photo for photo in named if photo.photo.path == given.resolve()]
+    if len(same or named) != 1:
+        what = f"has {len(named)} photos called" if named else "has no photo with a pose called"
+        raise InputError(f"{what} '{given.name}'; give its path", source=str(parameters.site))
+    return (same or named)[0], site.frame, site.terrain
 
 
 def _from_tags(
@@ -118,20 +125,27 @@ def _from_tags(
 
     from georef_gis.errors import MissingMetadataError
     from georef_gis.geodesy import MapFrame, Origin, utm_crs
-    from georef_gis.ingest.photos import read_photos
+    from georef_gis.ingest.cameras import camera_for
+    from georef_gis.ingest.photos import read_photo
     from georef_gis.model.photo import OrientedPhoto
     from georef_gis.model.pose import Mount
     from georef_gis.orient.direct import DirectSettings, direct_poses
     from georef_gis.orient.heights import GroundSetting, solve_heights
 
-    result = read_photos([parameters.photo])
-    photo = _with_given(result.photos[0], parameters)
+    photo = _with_given(read_photo(parameters.photo), parameters)
+    camera = camera_for(photo.tags, (photo.width, photo.height), source=photo.path.name).camera
     tag = photo.geotag
     if tag is None:
         raise MissingMetadataError("no GPS position", source=photo.id, field="GPS")
     level = tag.height.value if tag.height else 0.0
     origin = Origin(lat=tag.lat, lon=tag.lon, height_ellipsoidal=level)
     frame = MapFrame(origin, utm_crs(tag.lat, tag.lon))
+    if parameters.height is None and not (photo.height_above_ground or photo.height_above_takeoff):
+        raise MissingMetadataError(
+            "the tags state no height above ground; give --height, or --site with a project",
+            source=photo.path.name,
+            field="height",
+        )
     ground = GroundSetting(height_above_ground=parameters.height)
     heights = solve_heights([photo], origin, ground)
     (pose,) = direct_poses(
@@ -144,7 +158,6 @@ def _from_tags(
     )
     if pose.pose is None:
         raise pose.refused or MissingMetadataError("no pose", source=photo.id)
-    camera = result.cameras[photo.camera_id]
     return OrientedPhoto(photo=photo, camera=camera, pose=pose.pose), frame, heights.terrain
 
 
@@ -194,16 +207,13 @@ def _rows(points: PhotoPoints, frame: MapFrame) -> list[dict[str, float]]:
 
 def _write(target: Path, rows: list[dict[str, float]]) -> None:
     import csv
-    import os
+    import io
 
-    from georef_gis.errors import ExportError
+    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
 
-    part = target.with_name(f".{target.name}.part")
-    try:
-        with part.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-        os.replace(part, target)
-    except OSError as error:
-        raise ExportError(f"{target}: cannot be written ({error.strerror})") from error
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with export_errors(target, lambda: 0), whole_file(resolve_target(target)) as stream:
+        stream.write(text.getvalue().encode())

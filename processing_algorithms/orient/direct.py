@@ -40,9 +40,7 @@ class OrientDirect(Algorithm[p.Parameters]):
 
     def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
         """Orient them."""
-        from georef_gis.geodesy import HeightKind
         from georef_gis.orient.direct import direct_poses
-        from georef_gis.orient.heights import solve_heights
         from georef_gis.project.records import load_frame, photo_of
 
         project = context.require_project()
@@ -50,13 +48,8 @@ class OrientDirect(Algorithm[p.Parameters]):
         photos = [_with_dialect(photo_of(row), project) for row in project.database.rows("photo")]
         photos = _in_time(photos)
         ground = _ground(project, frame, photos)
-        kind = project.settings.gnss.height_kind
-        heights = solve_heights(
-            [photo for photo in photos if photo.geotag is not None],
-            frame.origin,
-            ground,
-            kind=None if kind == "auto" else HeightKind(kind),
-        )
+        placed = [photo for photo in photos if photo.geotag is not None]
+        heights = _heights(placed, frame, ground, project)
         mount, settings = _mount(project), _settings(project, frame)
         _check_names(settings, photos)
         poses = direct_poses(
@@ -64,12 +57,12 @@ class OrientDirect(Algorithm[p.Parameters]):
         )
         doubts = _report(poses, heights, frame, feedback)
         _save(project, frame, photos, poses, heights)
-        placed = [pose for pose in poses if pose.pose is not None]
-        agl = sorted(pose.height_above_ground for pose in placed)
+        oriented = [pose for pose in poses if pose.pose is not None]
+        agl = sorted(h for p in oriented if math.isfinite(h := p.height_above_ground))
         summary = {
-            "oriented": len(placed),
-            "left_out": len(poses) - len(placed),
-            "height_above_ground_m": round(agl[len(agl) // 2], 1),
+            "oriented": len(oriented),
+            "left_out": len(poses) - len(oriented),
+            "height_above_ground_m": round(agl[len(agl) // 2], 1) if agl else None,
             "ground": heights.source,
             "doubts": doubts,
         }
@@ -123,6 +116,41 @@ def _ground(project: Project, frame: MapFrame, photos: list[Photo]) -> GroundSet
         height_above_ground=settings.height_above_ground_m,
         dem=dem,
         sigma=settings.sigma_m,
+    )
+
+
+def _heights(
+    photos: list[Photo], frame: MapFrame, ground: GroundSetting, project: Project
+) -> Heights:
+    """Heights of the cameras; those of no stated kind are taken as EXIF defines them if need be.
+
+    EXIF 2.32 calls GPSAltitude a height above sea level, though some makers write the ellipsoid's:
+    the geoid's height goes into the sigma, and the user is told.
+    """
+    from dataclasses import replace
+
+    from georef_gis.errors import InputError
+    from georef_gis.geodesy import HeightKind, geoid_undulation
+    from georef_gis.orient.heights import solve_heights
+
+    gnss = project.settings.gnss
+    kind = None if gnss.height_kind == "auto" else HeightKind(gnss.height_kind)
+    try:
+        return solve_heights(photos, frame.origin, ground, kind=kind)
+    except InputError as error:
+        if kind is not None or "height_kind" not in error.field:
+            raise
+    heights = solve_heights(photos, frame.origin, ground, kind=HeightKind.ORTHOMETRIC)
+    geoid = float(geoid_undulation(frame.origin.lat, frame.origin.lon, geoid=gnss.geoid))
+    doubt = (
+        "the tags do not state the kind of their heights: taken as above sea level, as EXIF means "
+        f"them; if they are ellipsoidal, all is {abs(geoid):.0f} m too "
+        f"{'low' if geoid < 0 else 'high'}: set [gnss] height_kind"
+    )
+    return replace(
+        heights,
+        sigma={key: math.hypot(sigma, geoid / 2) for key, sigma in heights.sigma.items()},
+        doubts=(*heights.doubts, doubt),
     )
 
 

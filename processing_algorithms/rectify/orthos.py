@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +51,8 @@ class Orthos(Algorithm[OrthosParameters]):
 
     def run(self, context: Context, parameters: OrthosParameters, feedback: Feedback) -> Result:
         """Make them, some at a time."""
-        from georef_gis.errors import GeorefError
+        from georef_gis.errors import ExportError, GeorefError
+        from georef_gis.rasters.warp import one_thread_each
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -58,21 +61,32 @@ class Orthos(Algorithm[OrthosParameters]):
             feedback.info("orthos are switched off ([products] orthos = false)")
             return Result(summary={"orthos": 0})
         site = load_site(project, quick=context.quick)
-        footprints = _chosen(load_footprints(project), parameters.photos)
+        every = load_footprints(project)
+        footprints = _chosen(every, parameters.photos)
+        files = _files(folder, list(every))
         gsd = parameters.gsd or project.settings.products.gsd_m
         jobs = [key for key in footprints if key in site.photos]
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ExportError(
+                f"{folder}: the folder of the orthos cannot be made ({error.strerror}); is a file "
+                "in its place?"
+            ) from error
         done: dict[str, Path] = {}
         refused: list[str] = []
         # At most a few in flight: a photo of 50 MP takes 150 MB.
-        with ThreadPoolExecutor(max_workers=max(1, context.workers)) as pool:
+        halt = threading.Event()
+        with (
+            one_thread_each(),
+            ThreadPoolExecutor(max_workers=max(1, context.workers)) as pool,
+            _set_on_error(halt),
+        ):
             running: dict[Future[Path], str] = {}
             waiting = iter(jobs)
             while True:
                 for key in waiting:
-                    job = pool.submit(
-                        _ortho, project, site, footprints[key], _file(folder, key), gsd
-                    )
+                    job = pool.submit(_ortho, project, site, footprints[key], files[key], gsd, halt)
                     running[job] = key
                     if len(running) >= max(1, context.workers):
                         break
@@ -82,6 +96,9 @@ class Orthos(Algorithm[OrthosParameters]):
                     key = running.pop(job)
                     try:
                         done[key] = job.result()
+                    except ExportError:
+                        # Not the photo's fault, but the disk's: the other orthos fare no better.
+                        raise
                     except GeorefError as error:
                         refused.append(f"{key}: {error}" if key not in str(error) else str(error))
                 feedback.progress(len(done) / len(jobs), f"{len(done)} of {len(jobs)} orthos")
@@ -90,7 +107,8 @@ class Orthos(Algorithm[OrthosParameters]):
             feedback.warn(message)
         if not done:
             raise GeorefError(refused[0] if refused else "there is no photo to rectify")
-        _remove_old(project, folder, done)
+        kept = {path for key, path in files.items() if key not in jobs} | set(done.values())
+        _remove_old(project, folder, kept)
         summary = {
             "products": [str(folder)],
             "orthos": len(done),
@@ -99,9 +117,40 @@ class Orthos(Algorithm[OrthosParameters]):
         return Result(outputs={"folder": folder}, summary=summary)
 
 
-def _file(folder: Path, photo_id: str) -> Path:
-    """Target of a photo; ids of photos in subfolders hold slashes."""
-    return folder / (photo_id.replace("/", "_").replace("\\", "_").rsplit(".", 1)[0] + ".tif")
+@contextmanager
+def _set_on_error(halt: threading.Event) -> Iterator[None]:
+    """Tell the threads to stop when the work is broken off: the pool waits for them."""
+    try:
+        yield
+    except BaseException:
+        halt.set()
+        raise
+
+
+def _files(folder: Path, photo_ids: Sequence[str]) -> dict[str, Path]:
+    """Target of each photo, no two the same.
+
+    An id that is a path (where names repeat) loses its slashes and its ending, unless another
+    photo's file would then have that name, as with IMG_1.JPG beside IMG_1.TIF.
+    """
+    from collections import Counter
+    from pathlib import PurePath
+
+    flat = {key: key.replace("/", "_").replace("\\", "_") for key in photo_ids}
+    ending = {".jpg", ".jpeg", ".tif", ".tiff"}
+    short = {k: PurePath(v).stem if PurePath(v).suffix.lower() in ending else v
+             for k, v in flat.items()}  # fmt: skip
+    counts = Counter(name.lower() for name in short.values())
+    names = {k: v if counts[v.lower()] == 1 else flat[k] for k, v in short.items()}
+    out: dict[str, Path] = {}
+    taken: set[str] = set()
+    for key, name in names.items():
+        unique, number = name, 2
+        while unique.lower() in taken:
+            unique, number = f"{name}_{number}", number + 1
+        taken.add(unique.lower())
+        out[key] = folder / f"{unique}.tif"
+    return out
 
 
 def _chosen(footprints: dict[str, Footprint], names: Sequence[str]) -> dict[str, Footprint]:
@@ -123,7 +172,12 @@ def _chosen(footprints: dict[str, Footprint], names: Sequence[str]) -> dict[str,
 
 
 def _ortho(
-    project: Project, site: Site, footprint: Footprint, target: Path, gsd: float | None
+    project: Project,
+    site: Site,
+    footprint: Footprint,
+    target: Path,
+    gsd: float | None,
+    halt: threading.Event,
 ) -> Path:
     from georef_gis.rasters.reading import read_image
     from georef_gis.rasters.warp import reduction_for
@@ -143,13 +197,16 @@ def _ortho(
         dtype=str(image.dtype),
         title=f"{photo.id} ({site.pose_kinds[photo.id]})",
     )
-    write_ortho(photo, image, footprint, ground_of(site, grid), profile, grid, target, gsd=pixel)
+    write_ortho(
+        photo, image, footprint, ground_of(site, grid), profile, grid, target,
+        gsd=pixel, cancelled=halt.is_set,
+    )  # fmt: skip
     return target
 
 
-def _remove_old(project: Project, folder: Path, done: dict[str, Path]) -> None:
-    """Remove orthos of an earlier run whose photo is no longer there."""
-    names = sorted(path.name for path in done.values())
+def _remove_old(project: Project, folder: Path, kept: set[Path]) -> None:
+    """Remove orthos of an earlier run whose photo is no longer there or could not be used."""
+    names = sorted(path.name for path in kept if path.is_file())
     for name in set(project.database.meta("orthos", [])) - set(names):
         (folder / name).unlink(missing_ok=True)
     project.database.set_meta(orthos=names)

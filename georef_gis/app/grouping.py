@@ -1,0 +1,75 @@
+"""Messages about many photos as one line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import PurePath
+
+# names listed one by one; more become the first and the last, or a count
+MOST_NAMES = 3
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
+_TRAILING_NUMBER = re.compile(r"(\d+)(?:\.\w+)?$")
+# stands for the photo's name inside a message; no message holds it
+_NAME = "\0"
+# A name before the first colon may be another thing's.
+_NO_PHOTO = ("camera ", "tool ", "project.toml")
+
+
+def grouped(messages: Sequence[str]) -> list[str]:
+    """Messages in order, with those that differ only in the photo and its figures as one.
+
+    ``a.jpg: no heading`` and ``b.jpg: no heading`` become ``2 photos (a.jpg, b.jpg): no heading``;
+    figures that differ become ranges, ``12 to 15``.
+    """
+    groups: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+    for message in dict.fromkeys(messages):
+        name, text = _split(message)
+        key = (_NUMBER.sub("#", text),) if name else (message, "")
+        groups.setdefault(key, []).append((name, text, message))
+    return [_line(members) for members in groups.values()]
+
+
+def _split(message: str) -> tuple[str, str]:
+    """Name of the photo that a message begins with, and the rest; ('', message) without one."""
+    head, colon, text = message.partition(": ")
+    name = head.removeprefix("photo ")
+    if not colon or not name or "\n" in name or name.startswith(_NO_PHOTO):
+        return "", message
+    for spelling in (name, PurePath(name).name):
+        text = re.sub(rf"(?<!\w){re.escape(spelling)}(?!\w)", _NAME, text)
+    return name, text
+
+
+def _line(members: Sequence[tuple[str, str, str]]) -> str:
+    name, _, message = members[0]
+    if len(members) == 1:
+        return message
+    names = list(dict.fromkeys(PurePath(name).name for name, *_ in members))
+    if len(names) == 1:
+        head = f"{name}: "
+    else:
+        head = f"{len(members)} photos ({_names(names)}): "
+    return head + _with_ranges([text for _, text, _ in members]).replace(_NAME, PurePath(name).name)
+
+
+def _names(names: Sequence[str]) -> str:
+    if len(names) <= MOST_NAMES:
+        return ", ".join(names)
+    numbers = [int(found[1]) if (found := _TRAILING_NUMBER.search(n)) else None for n in names]
+    first = numbers[0]
+    if first is not None and numbers == list(range(first, first + len(names))):
+        return f"{names[0]} ... {names[-1]}"
+    return f"{', '.join(names[:MOST_NAMES])} and {len(names) - MOST_NAMES} more"
+
+
+def _with_ranges(texts: Sequence[str]) -> str:
+    """The text that all share, with the least and the greatest of each figure that differs."""
+    columns = list(zip(*(_NUMBER.findall(text) for text in texts), strict=True))
+    shown = iter(
+        column[0]
+        if len(set(column)) == 1
+        else f"{min(column, key=float)} to {max(column, key=float)}"
+        for column in columns
+    )
+    return _NUMBER.sub(lambda _: next(shown), texts[0])
