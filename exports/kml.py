@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal, cast
 
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
@@ -102,12 +103,13 @@ def write_kml(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTORS) 
     ExportError
         If a layer cannot be shown in KML.
     """
-    from exports.kml_site import site_document
+    from exports.kml_site import write_document
 
     layers = {layer.name: layer for layer in map(site.layer, names)}
     if "cameras" in layers:
         raise ExportError("KML cannot hold cameras, which have no place; use GeoPackage")
-    target.write_bytes(site_document(site, layers, thumbnails={}))
+    with target.open("wb") as stream:
+        write_document(stream, site, layers, thumbnails={})
     features = sum(len(layer.features) for layer in layers.values())
     return ExportReport(crs=CRS, height_kind=HEIGHT_KIND, features=features)
 
@@ -122,35 +124,24 @@ def write_kmz(
     ExportError
         If even without mosaic it is larger than `max_mb`.
     """
-    from exports.kml_files import Spool, add_thumbnails, camera_icon, write_zip
-    from exports.kml_site import ICON, site_document
+    from exports.kml_files import Counter, Spool, camera_icon, write_zip
+    from exports.kml_site import ICON, write_document
 
     warnings: list[str] = []
     layers = {name: site.layers[name] for name in VECTORS}
     with Spool(target.parent) as spool:
         spool.add(ICON, camera_icon())
-        thumbnails: dict[str, str] = {}
-        if options.thumbnails and site.photos:
-            placed = {str(f.values["photo"]) for f in layers["photos"].features}
-            photos = [s.photo for s in site.photos if s.photo.id in placed]
-
-            def tick(done: int) -> None:
-                check_cancelled(feedback)
-                feedback.progress(0.4 * done / len(photos), f"thumbnail {done} of {len(photos)}")
-
-            thumbnails = add_thumbnails(spool, photos, options.thumbnail_px, tick)
-            missing = [photo.id for photo in photos if photo.id not in thumbnails]
-            if missing:
-                warnings.append(_list("photos without thumbnail, as they cannot be read", missing))
-        document = site_document(site, layers, thumbnails=thumbnails, icon=ICON)
-        _check_size(spool.size + len(document) // 3, options, target)
-        overlay = _overlay(site, spool, len(document) // 3, options, feedback, warnings)
-        if overlay is not None:
-            document = site_document(
-                site, layers, thumbnails=thumbnails, icon=ICON, overlay=overlay
-            )
+        thumbnails = _thumbnails(site, spool, options, feedback, warnings)
+        write = partial(write_document, site=site, layers=layers, thumbnails=thumbnails, icon=ICON)
+        rest = 0
+        if options.max_mb is not None:
+            counter = Counter()
+            write(cast(BinaryIO, counter))
+            rest = counter.packed
+            _check_size(spool.size + rest, options, target)
+        overlay = _overlay(site, spool, rest, options, feedback, warnings)
         check_cancelled(feedback)
-        write_zip(target, document, spool)
+        write_zip(target, partial(write, overlay=overlay), spool)
     feedback.progress(1.0, "zipped")
     if site.unplaced:
         warnings.append(_list("photos left out, as they have no position", site.unplaced))
@@ -160,6 +151,32 @@ def write_kmz(
     return ExportReport(
         crs=CRS, height_kind=HEIGHT_KIND, features=features, warnings=tuple(warnings)
     )
+
+
+def _thumbnails(
+    site: SiteLayers,
+    spool: Spool,
+    options: KmzOptions,
+    feedback: Feedback,
+    warnings: list[str],
+) -> dict[str, str]:
+    """Thumbnails into the spool; gives photo id -> path."""
+    from exports.kml_files import add_thumbnails
+
+    placed = {str(f.values["photo"]) for f in site.layers["photos"].features}
+    photos = [s.photo for s in site.photos if s.photo.id in placed]
+    if not options.thumbnails or not photos:
+        return {}
+
+    def tick(done: int) -> None:
+        check_cancelled(feedback)
+        feedback.progress(0.4 * done / len(photos), f"thumbnail {done} of {len(photos)}")
+
+    thumbnails = add_thumbnails(spool, photos, options.thumbnail_px, tick)
+    missing = [photo.id for photo in photos if photo.id not in thumbnails]
+    if missing:
+        warnings.append(_list("photos without thumbnail, as they cannot be read", missing))
+    return thumbnails
 
 
 def _list(what: str, names: list[str] | tuple[str, ...]) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import html
 import re
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, BinaryIO, Final
 
 from lxml import etree
 
@@ -46,6 +47,33 @@ def document(*children: Element | None, name: str) -> bytes:
     root = element("kml", element("Document", element("name", text=name), *children))
     etree.cleanup_namespaces(root)
     return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+
+
+class DocumentWriter:
+    """Writes the features of a Document one after the other, so that none need be kept."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+
+    def write(self, part: Element) -> None:
+        """Write one element."""
+        self._file.write(part, pretty_print=True)
+
+    def write_folder(self, name: str, parts: Iterable[Element]) -> None:
+        """Write a folder with its features."""
+        with self._file.element(f"{{{KML}}}Folder"):
+            self.write(element("name", text=name))
+            for part in parts:
+                self.write(part)
+
+
+@contextmanager
+def open_document(stream: BinaryIO) -> Iterator[DocumentWriter]:
+    """A KML file with one Document that is written bit by bit."""
+    with etree.xmlfile(stream, encoding="UTF-8") as file:
+        file.write_declaration()
+        with file.element(f"{{{KML}}}kml", nsmap=_NAMES), file.element(f"{{{KML}}}Document"):
+            yield DocumentWriter(file)
 
 
 def folder(name: str, children: Iterable[Element], *, description: str = "") -> Element:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import BinaryIO, Self, cast
 
 import cv2
 import numpy as np
@@ -73,19 +73,40 @@ class Spool:
             yield path, self._stream.read(length)
 
 
-def write_zip(target: Path, document: bytes, spool: Spool) -> None:
+class Counter:
+    """Stream that only counts the bytes of text, as ZIP will pack them."""
+
+    def __init__(self) -> None:
+        self._bytes = 0
+
+    def write(self, data: bytes) -> int:
+        """Count some bytes."""
+        self._bytes += len(data)
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    @property
+    def packed(self) -> int:
+        """Bytes in a ZIP, seldom more."""
+        return self._bytes // 3
+
+
+def write_zip(target: Path, write_document: Callable[[BinaryIO], None], spool: Spool) -> None:
     """KMZ of a document and its files. Pictures are stored: they are packed already."""
     with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
-        _put(archive, "doc.kml", document)
+        with archive.open(_member("doc.kml"), "w", force_zip64=True) as stream:
+            write_document(cast(BinaryIO, stream))
         for path, data in spool.files():
-            _put(archive, path, data)
+            archive.writestr(_member(path), data)
 
 
-def _put(archive: zipfile.ZipFile, path: str, data: bytes) -> None:
+def _member(path: str) -> zipfile.ZipInfo:
     info = zipfile.ZipInfo(path, _DATE)
     info.external_attr = 0o644 << 16
     info.compress_type = zipfile.ZIP_DEFLATED if path.endswith(".kml") else zipfile.ZIP_STORED
-    archive.writestr(info, data)
+    return info
 
 
 # -- thumbnails ---------------------------------------------------------------------------------

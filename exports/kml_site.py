@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from typing import BinaryIO
 
 import numpy as np
 
@@ -20,18 +21,21 @@ PHOTO_TABLE = (
 )  # fmt: skip
 
 
-def site_document(
+def write_document(
+    stream: BinaryIO,
     site: SiteLayers,
     layers: Mapping[str, Layer],
     *,
     thumbnails: Mapping[str, str],
     icon: str = "",
     overlay: k.Element | None = None,
-) -> bytes:
-    """Document of a site.
+) -> None:
+    """Write the document of a site, feature by feature.
 
     Parameters
     ----------
+    stream
+        Takes UTF-8 XML.
     layers
         Those of `site.layers` to write.
     thumbnails
@@ -41,7 +45,8 @@ def site_document(
     overlay
         Folder of the mosaic.
     """
-    parts: list[k.Element | None] = [
+    head: list[k.Element | None] = [
+        k.element("name", text=site.name or "Site"),
         k.element("open", text="1"),
         k.element("description", text=_statement(site)),
         k.point_style("photo", icon),
@@ -51,19 +56,23 @@ def site_document(
         *(k.schema(layer) for layer in layers.values()),
         overlay,
     ]
-    for name, layer in layers.items():
-        if name == "footprints":
-            placemarks = [_footprint(layer, i, f) for i, f in enumerate(layer.features)]
-        elif name == "track":
-            placemarks = [_track(layer, i, f) for i, f in enumerate(layer.features)]
+    with k.open_document(stream) as document:
+        for part in head:
+            if part is not None:
+                document.write(part)
+        for layer in layers.values():
+            if layer.features:
+                document.write_folder(layer.title, _placemarks(layer, thumbnails))
+
+
+def _placemarks(layer: Layer, thumbnails: Mapping[str, str]) -> Iterator[k.Element]:
+    for i, feature in enumerate(layer.features):
+        if layer.name == "footprints":
+            yield _footprint(layer, i, feature)
+        elif layer.name == "track":
+            yield _track(layer, i, feature)
         else:
-            placemarks = [
-                _photo(layer, i, f, thumbnails.get(str(f.values["photo"]), ""))
-                for i, f in enumerate(layer.features)
-            ]
-        if placemarks:
-            parts.append(k.folder(layer.title, placemarks))
-    return k.document(*parts, name=site.name or "Site")
+            yield _photo(layer, i, feature, thumbnails.get(str(feature.values["photo"]), ""))
 
 
 def _statement(site: SiteLayers) -> str:

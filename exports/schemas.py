@@ -122,7 +122,7 @@ TRACK_FIELDS = _fields(
 )
 CAMERA_FIELDS = _fields(
     ("camera", "text", "", "Id of the camera"),
-    ("model", "text", "", "Lens model: brown, fisheye or fisheye_pix4d"),
+    ("model", "text", "", "Lens model: brown, brown_inverse, fisheye or fisheye_pix4d"),
     ("width_px", "integer", "px", "Width of the photos"),
     ("height_px", "integer", "px", "Height of the photos"),
     ("fx_px", "real", "px", "Focal length along u"),

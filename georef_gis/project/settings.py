@@ -63,7 +63,9 @@ class CameraSection(Section):
         default=None, gt=0, description="Focal length, mm (with sensor_width_mm)"
     )
     sensor_width_mm: float | None = Field(default=None, gt=0, description="Width of the sensor, mm")
-    model: str | None = Field(default=None, description='Lens model: "brown" or "fisheye"')
+    model: str | None = Field(
+        default=None, description='Lens model: "brown", "brown_inverse" or "fisheye"'
+    )
     fx: float | None = Field(default=None, gt=0, description="Focal length along u, px")
     fy: float | None = Field(default=None, gt=0, description="Focal length along v, px")
     cx: float | None = Field(

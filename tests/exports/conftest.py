@@ -21,7 +21,7 @@ from georef_gis.model.photo import Photo
 from georef_gis.model.pose import Pose
 
 NASTY = 'a & <b>"ü]]>$.jpg'
-# 40 N, 83 W: convergence in UTM 17 is about -1.29 deg * sin(40) ... from zone meridian 81 W
+# 83 W lies 2 deg west of the central meridian of UTM 17: the convergence is not zero.
 ORIGIN = Origin(lat=math.radians(40.0), lon=math.radians(-83.0), height_ellipsoidal=200.0)
 # Image right = east, image down = south, view down.
 R_NADIR_NORTH = np.diag([1.0, -1.0, -1.0])
