@@ -17,8 +17,8 @@ from georef_gis.model.terrain import DemTerrain, Terrain
 LOCAL_MAP_TOLERANCE = 2e-4
 # px; a mesh is refined until the middle of its cells is this good (a fifth of what is promised)
 MESH_TOLERANCE = 0.02
-# px; what kinks of the ground may add, looked for at every half cell of a DEM
-RELIEF_TOLERANCE = 0.06
+# px; what the ground between the nodes may add
+RELIEF_TOLERANCE = 0.05
 MESH_STEPS = (64, 32, 16, 8, 4, 2, 1)
 # places along each side of a window at which a step is tried
 PROBES = 12
@@ -148,6 +148,19 @@ class Ground:
             return self.terrain.height_at_map(self.to_dem(xy_map))
         return self.terrain.height_on_map(self.local.frame, xy_map)
 
+    @property
+    def has_relief(self) -> bool:
+        """Whether the ground has detail finer than a mesh."""
+        return bool(np.isfinite(self.terrain.detail))
+
+    def dem_position(self, xy_map: Array) -> Array:
+        """(col, row) in the DEM, (0, 0) = centre of its first cell, of places; (..., 2)."""
+        if not isinstance(self.terrain, DemTerrain):
+            raise ValueError("there is no DEM")
+        if self.to_dem is not None:
+            return self.terrain.position(self.to_dem(xy_map))
+        return self.terrain.position_on_map(self.local.frame, xy_map)
+
     def enu_at(self, grid: Grid, colrow: Array) -> Array:
         """Ground points, m in enu, under grid positions; shape (..., 2) -> (..., 3)."""
         xy = grid.map_from_grid(colrow)
@@ -169,12 +182,19 @@ def node_positions(window: Window, step: int) -> Array:
     return out
 
 
-def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window) -> int:
-    """Coarsest mesh step, px, whose bilinear interpolation is good to `MESH_TOLERANCE`.
+def parallax(photo: OrientedPhoto, p_enu: Array) -> Array:
+    """How far the pixels of ground points move per metre of height; (..., 3) -> (..., 2) px/m."""
+    half = np.array([0.0, 0.0, 0.5])
+    return photo.project(p_enu + half) - photo.project(p_enu - half)
 
-    The middles of cells and of their sides, spread over the window, are compared with the
-    rigorous projection. That finds what is smooth; a bank of one DEM cell would slip through, so
-    the heights are compared everywhere.
+
+def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window) -> int:
+    """Coarsest mesh step, px, through which pixels are good to the tolerances.
+
+    What a warp does is compared with the rigorous projection at places all over the window:
+    bilinear in the mesh, and over a DEM moved by the parallax times the height that the mesh
+    leaves out. That height is looked for at every half cell: a bank between two places would
+    slip through.
     """
     places = np.stack(
         np.meshgrid(
@@ -183,34 +203,59 @@ def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window
         ),
         axis=-1,
     ).reshape(-1, 1, 2)
-    px_per_m = _pixels_per_height(photo, ground, grid, places)
-    unit = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5], [0.5, 0], [0, 0.5]])
     for step in MESH_STEPS[:-1]:
-        uv = photo.project(ground.enu_at(grid, places + unit * step))
-        a, b, c, d = (uv[:, i] for i in range(4))
-        guess = np.stack([(a + b + c + d) / 4, (a + b) / 2, (a + c) / 2], axis=1)
-        true = uv[:, 4:]
-        error = np.abs(true - guess)[photo.contains(true)]
-        smooth = np.all(np.isfinite(error)) and np.max(error, initial=0.0) <= MESH_TOLERANCE
-        if smooth and _relief_error(ground, grid, window, step) * px_per_m <= RELIEF_TOLERANCE:
+        error = _mesh_error(photo, ground, grid, places, step)
+        if not error <= MESH_TOLERANCE:
+            continue
+        if not ground.has_relief:
+            return step
+        left_out = _relief_error(ground, grid, window, step)
+        if _parallax_error(photo, ground, grid, places, left_out) <= RELIEF_TOLERANCE:
             return step
     return MESH_STEPS[-1]
 
 
-def _pixels_per_height(photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array) -> float:
-    """How far a pixel moves per metre of the ground's height, px/m, at most."""
-    p = ground.enu_at(grid, places)
+def _mesh_error(
+    photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array, step: int
+) -> float:
+    """Largest error of a warp, px, at the middles of cells and of their sides; inf if unknown."""
+    unit = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5], [0.5, 0], [0, 0.5]])
+    colrow = places + unit * step
+    p = ground.enu_at(grid, colrow)
     uv = photo.project(p)
-    moved = np.abs(photo.project(p + np.array([0.0, 0.0, 1.0])) - uv)[photo.contains(uv)]
-    return float(np.max(moved, initial=0.0, where=np.isfinite(moved)))
+    guess = _bilinear(uv)
+    if ground.has_relief:
+        h = ground.heights_at(grid.map_from_grid(colrow))[..., None]
+        guess = guess + _bilinear(parallax(photo, p)) * (h[:, 4:] - _bilinear(h))
+    true = uv[:, 4:]
+    error = np.abs(true - guess)[photo.contains(true)]
+    return float(np.max(error, initial=0.0)) if np.all(np.isfinite(error)) else np.inf
+
+
+def _bilinear(values: Array) -> Array:
+    """At the middle of cells and of two sides, from the four corners; (n, 7, k) -> (n, 3, k)."""
+    a, b, c, d = (values[:, i] for i in range(4))
+    return np.stack([(a + b + c + d) / 4, (a + b) / 2, (a + c) / 2], axis=1)
+
+
+def _parallax_error(
+    photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array, height: float
+) -> float:
+    """What the parallax times a height, m, misses of the true move of a pixel, px, at most."""
+    p = ground.enu_at(grid, places)
+    uv, move = photo.project(p), parallax(photo, p)
+    worst = 0.0
+    for h in (height, -height):
+        missed = np.abs(photo.project(p + np.array([0.0, 0.0, h])) - uv - move * h)
+        missed = missed[photo.contains(uv)]
+        worst = max(worst, float(np.max(missed, initial=0.0, where=np.isfinite(missed))))
+    return worst
 
 
 def _relief_error(ground: Ground, grid: Grid, window: Window, step: int) -> float:
-    """Largest error of heights interpolated between the nodes of a mesh, m."""
+    """Largest height that a mesh leaves out between its nodes, m."""
     frame = ground.local.frame
     cell = ground.terrain.detail / (grid.pixel * metres_per_unit(frame.horizontal))
-    if not np.isfinite(cell):
-        return 0.0
     nodes = node_positions(window, step)
     h = ground.heights_at(grid.map_from_grid(nodes))
     spacing = float(np.clip(cell / 2.0, 1.0, step / 2.0))

@@ -133,11 +133,31 @@ class DemTerrain:
         """A cell, m: the surface has its kinks at the cell centres' lines."""
         return 2.0 * self.step
 
+    def position(self, xy_map: Array) -> Array:
+        """(col, row), (0, 0) = centre of the first cell, of places of the DEM's map; (..., 2)."""
+        return np.stack(
+            [
+                (xy_map[..., 0] - self.left) / self.cell[0] - 0.5,
+                (self.top - xy_map[..., 1]) / self.cell[1] - 0.5,
+            ],
+            axis=-1,
+        )
+
+    def position_on_map(self, frame: MapFrame, xy_map: Array) -> Array:
+        """Like `position`, of places of any map; (..., 2) CRS units -> (..., 2)."""
+        if frame.horizontal == self.frame.horizontal:
+            return self.position(xy_map)
+        # Two projections of one ellipsoid: the place does not depend on the height used here.
+        level = np.full((*xy_map.shape[:-1], 1), float(np.nanmean(self.heights)))
+        geo = frame.geo_from_map(np.concatenate([xy_map, level], axis=-1))
+        return self.position(self.frame.map_from_geo(geo)[..., :2])
+
     def height_at_map(self, xy_map: ArrayLike) -> Array:
         """Ellipsoidal height, m, at map coordinates; (..., 2) -> (...), NaN outside."""
-        p = np.asarray(xy_map, dtype=np.float64)
-        col = (p[..., 0] - self.left) / self.cell[0] - 0.5
-        row = (self.top - p[..., 1]) / self.cell[1] - 0.5
+        return self._height_at(self.position(np.asarray(xy_map, dtype=np.float64)))
+
+    def _height_at(self, at: Array) -> Array:
+        col, row = at[..., 0], at[..., 1]
         rows, cols = self.heights.shape
         with np.errstate(invalid="ignore"):
             inside = (col >= -0.5) & (row >= -0.5) & (col <= cols - 0.5) & (row <= rows - 0.5)
@@ -154,13 +174,7 @@ class DemTerrain:
 
     def height_on_map(self, frame: MapFrame, xy_map: ArrayLike) -> Array:
         """Ellipsoidal height, m, at places of any map; (..., 2) CRS units -> (...), NaN outside."""
-        xy = np.asarray(xy_map, dtype=np.float64)
-        if frame.horizontal == self.frame.horizontal:
-            return self.height_at_map(xy)
-        # Two projections of one ellipsoid: the place does not depend on the height used here.
-        level = np.full((*xy.shape[:-1], 1), float(np.nanmean(self.heights)))
-        geo = frame.geo_from_map(np.concatenate([xy, level], axis=-1))
-        return self.height_at_map(self.frame.map_from_geo(geo)[..., :2])
+        return self._height_at(self.position_on_map(frame, np.asarray(xy_map, dtype=np.float64)))
 
     def z_at(self, xy_enu: ArrayLike) -> Array:
         """Up coordinate of the ground; (..., 2) m -> (...), NaN outside the raster."""

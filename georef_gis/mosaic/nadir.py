@@ -14,10 +14,23 @@ from numpy.typing import NDArray
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
-from georef_gis.model.mesh import Ground, choose_step, node_positions
+from georef_gis.model.mesh import Ground, choose_step, node_positions, parallax
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.plan import TileTask
-from georef_gis.rasters.warp import Image, Key, Mask, inside_image, sample, upsample
+from georef_gis.rasters.warp import (
+    Image,
+    Key,
+    Mask,
+    all_inside,
+    blank,
+    blocks,
+    inside_image,
+    largest_move,
+    positions,
+    relief,
+    sample,
+    upsample,
+)
 
 # px of the mosaic; over this width one photo gives way to the next
 FEATHER = 64.0
@@ -32,8 +45,6 @@ SOFT_RIM = 16.0
 RIM_PENALTY = 1.2
 # weight of a photo where it is inside but would not count
 TRACE = np.float32(1e-4)
-# px; a tile is rendered in blocks of this side, a multiple of every mesh step
-BLOCK = 128
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,6 +85,8 @@ class _Layer:
     uv: Array
     weight: Array
     near: Mask
+    # px per m of height at the nodes; None over flat ground
+    moves: Array | None
 
     @property
     def key(self) -> Key:
@@ -143,19 +156,44 @@ class NadirMosaic:
         costs = [self._cost(s, p_enu, uv, step) for s, uv in zip(sources, meshes, strict=True)]
         weights = self._weights(np.stack(costs))
         parts = zip(sources, meshes, weights, np.isfinite(costs), strict=True)
-        layers = tuple(_Layer(s, uv, w, near) for s, uv, w, near in parts if near.any())
+        relief = self._ground.has_relief
+        layers = tuple(
+            _Layer(s, uv, w, near, parallax(s.photo, p_enu) if relief else None)
+            for s, uv, w, near in parts
+            if near.any()
+        )
         return TileSketch(task, step, layers)
 
     def render(self, sketch: TileSketch) -> tuple[Image, Mask | None] | None:
         """Pixels (rows, cols, bands) and mask of a sketched tile; None where no photo shows it."""
         while sketch.layers:
             try:
-                return _render(sketch, self._read)
+                return self._render(sketch)
             except InputError as error:
                 # Named once, then the tile is made from the photos that can be read.
                 self._drop(sketch, error)
                 sketch = self.sketch(sketch.task)
         return None
+
+    def _render(self, sketch: TileSketch) -> tuple[Image, Mask | None] | None:
+        """Render block by block: most blocks show one photo alone and need no blending."""
+        window, step = sketch.task.window, sketch.step
+        shape = (window.height, window.width)
+        delta = relief(self._ground, self._grid, window, step)
+        maps = [positions(a.uv, step, shape, delta, a.moves) for a in sketch.layers]
+        slack = [largest_move(delta, layer.moves) for layer in sketch.layers]
+        first = self._read(*sketch.keys[0])
+        out = np.zeros((*shape, first.shape[2]), dtype=first.dtype)
+        mask = np.zeros(shape, dtype=np.bool_)
+        for pixels, nodes in blocks(window, step):
+            views = [
+                _View(a, uv[pixels], nodes, step, far)
+                for a, uv, far in zip(sketch.layers, maps, slack, strict=True)
+            ]
+            _blend(_parts(views, self._read), out[pixels], mask[pixels])
+        if not mask.any():
+            return None
+        return (out, None) if mask.all() else (out, mask)
 
     def _drop(self, sketch: TileSketch, error: InputError) -> None:
         self._broken.append(str(error))
@@ -192,34 +230,6 @@ def _edge_distance(uv: NDArray[np.floating[Any]], width: int, height: int) -> Ar
     return np.asarray(edge)
 
 
-def _render(
-    sketch: TileSketch, read: Callable[[Path, int], Image]
-) -> tuple[Image, Mask | None] | None:
-    """Render a tile block by block: most blocks show one photo alone and need no blending."""
-    window, step = sketch.task.window, sketch.step
-    shape = (window.height, window.width)
-    maps = [upsample(layer.uv, step, shape) for layer in sketch.layers]
-    first = read(*sketch.keys[0])
-    out = np.zeros((*shape, first.shape[2]), dtype=first.dtype)
-    mask = np.zeros(shape, dtype=np.bool_)
-    cells = BLOCK // step
-    for row in range(0, window.height, BLOCK):
-        for col in range(0, window.width, BLOCK):
-            # Nodes of the block with one ring around: what its pixels are interpolated from.
-            nodes = (
-                slice(row // step, row // step + cells + 2),
-                slice(col // step, col // step + cells + 2),
-            )
-            pixels = (slice(row, row + BLOCK), slice(col, col + BLOCK))
-            views = [
-                _View(a, uv[pixels], nodes, step) for a, uv in zip(sketch.layers, maps, strict=True)
-            ]
-            _blend(_parts(views, read), out[pixels], mask[pixels])
-    if not mask.any():
-        return None
-    return (out, None) if mask.all() else (out, mask)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
     """A layer on a block: pixel positions in the photo, and the nodes they come from."""
@@ -228,12 +238,13 @@ class _View:
     uv: NDArray[np.float32]
     nodes: tuple[slice, slice]
     step: int
+    # px; how far relief may move what lies between the nodes
+    slack: float
 
     def inside(self) -> Mask | None:
         """Where the photo shows the ground; None = everywhere."""
         camera = self.layer.source.photo.camera
-        # Bilinear between nodes that lie inside stays inside.
-        if np.all(_edge_distance(self.layer.uv[self.nodes], camera.width, camera.height) > 0):
+        if all_inside(self.layer.uv[self.nodes], camera.width, camera.height, self.slack):
             return None
         inside = inside_image(self.uv, camera.width, camera.height)
         return None if inside.all() else inside
@@ -279,7 +290,8 @@ class _Part:
         layer, nodes = self.view.layer, self.view.nodes
         w = upsample(layer.weight[nodes], self.view.step, self.data.shape[:2])
         camera = layer.source.photo.camera
-        if not np.all(_edge_distance(layer.uv[nodes], camera.width, camera.height) > SOFT_RIM):
+        soft = SOFT_RIM + self.view.slack
+        if not np.all(_edge_distance(layer.uv[nodes], camera.width, camera.height) > soft):
             edge = _edge_distance(self.view.uv, camera.width, camera.height)
             w = w * np.clip(edge / np.float32(SOFT_RIM), 0.0, 1.0)
         w = np.maximum(w, TRACE)
@@ -312,5 +324,6 @@ def _blend(parts: list[_Part], out: Image, mask: Mask) -> None:
     # Positive values: adding a half and cutting rounds to the nearest.
     integer = np.issubdtype(out.dtype, np.integer)
     np.copyto(out, mean + np.float32(0.5) if integer else mean, casting="unsafe")
-    out[~valid] = 0
+    if not valid.all():
+        blank(out, valid)
     mask[...] = valid

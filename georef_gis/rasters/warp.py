@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
-from georef_gis.model.mesh import Ground, node_positions
+from georef_gis.model.mesh import Ground, node_positions, parallax
 from georef_gis.model.photo import OrientedPhoto
+from georef_gis.model.terrain import DemTerrain
 from georef_gis.rasters.reading import read_image
 
 Image = NDArray[np.integer[Any] | np.floating[Any]]
@@ -225,22 +226,26 @@ def warp_window(
         Where the photo shows the ground; None = everywhere.
         The pair is None where the photo does not reach the window.
     """
-    nodes = photo.project(ground.enu_at(grid, node_positions(window, step)))
+    p_enu = ground.enu_at(grid, node_positions(window, step))
+    nodes = photo.project(p_enu)
     width, height = photo.camera.width, photo.camera.height
-    if all_outside(nodes, width, height):
+    delta = relief(ground, grid, window, step)
+    moves = None if delta is None else parallax(photo, p_enu)
+    slack = largest_move(delta, moves)
+    if all_outside(nodes, width, height, slack):
         return None
     shape = (window.height, window.width)
-    uv = upsample(nodes, step, shape)
-    if all_inside(nodes, width, height):
+    uv = positions(nodes, step, shape, delta, moves)
+    if all_inside(nodes, width, height, slack):
         return sample(image, uv, reduce=reduce), None
     data = np.zeros((*shape, image.shape[2]), dtype=image.dtype)
     mask = np.zeros(shape, dtype=np.bool_)
     for pixels, cells in blocks(window, step):
         part = nodes[cells]
-        if all_outside(part, width, height):
+        if all_outside(part, width, height, slack):
             continue
         data[pixels] = sample(image, uv[pixels], reduce=reduce)
-        if all_inside(part, width, height):
+        if all_inside(part, width, height, slack):
             mask[pixels] = True
         else:
             mask[pixels] = inside = inside_image(uv[pixels], width, height)
@@ -265,16 +270,81 @@ def blocks(window: Window, step: int) -> Iterator[tuple[tuple[slice, slice], tup
             yield pixels, (slice(i, i + cells), slice(j, j + cells))
 
 
-def all_inside(uv: Array, width: int, height: int) -> bool:
-    """Whether all nodes, and so all that is bilinear between them, lie in an image."""
+def all_inside(uv: Array, width: int, height: int, slack: float = 0.0) -> bool:
+    """Whether all nodes, and so all that is bilinear between them, lie in an image.
+
+    `slack`, px, is how far relief may move what lies between the nodes.
+    """
     u, v = uv[..., 0], uv[..., 1]
     # NaN compares as false: a node without a pixel is not inside.
     return bool(
-        u.min() >= 0.0 and v.min() >= 0.0 and u.max() <= width - 1 and v.max() <= height - 1
+        u.min() >= slack
+        and v.min() >= slack
+        and u.max() <= width - 1 - slack
+        and v.max() <= height - 1 - slack
     )
 
 
-def all_outside(uv: Array, width: int, height: int) -> bool:
+def all_outside(uv: Array, width: int, height: int, slack: float = 0.0) -> bool:
     """Whether all nodes lie beyond one side of an image, and so all that is between them."""
     u, v = uv[..., 0], uv[..., 1]
-    return bool(u.max() < -0.5 or v.max() < -0.5 or u.min() > width - 0.5 or v.min() > height - 0.5)
+    far = 0.5 + slack
+    return bool(
+        u.max() < -far or v.max() < -far or u.min() > width - 1 + far or v.min() > height - 1 + far
+    )
+
+
+def relief(ground: Ground, grid: Grid, window: Window, step: int) -> NDArray[np.float32] | None:
+    """Height of the ground above the mesh between its nodes, m; (rows, cols), None if flat.
+
+    NaN where the DEM has none.
+    """
+    if not ground.has_relief or not isinstance(ground.terrain, DemTerrain):
+        return None
+    dem = ground.terrain
+    xy = grid.map_from_grid(node_positions(window, step))
+    nodes = ground.heights_at(xy)
+    if not np.any(np.isfinite(nodes)):
+        return None
+    # Relative to a level nearby: float32 resolves 1e-5 m then.
+    level = float(np.nanmean(nodes))
+    shape = (window.height, window.width)
+    at = ground.dem_position(xy)
+    rows, cols = dem.heights.shape
+    low = np.clip(np.floor(at.reshape(-1, 2).min(axis=0)) - 1, 0, [cols - 1, rows - 1]).astype(int)
+    high = np.clip(np.ceil(at.reshape(-1, 2).max(axis=0)) + 2, low + 1, [cols, rows]).astype(int)
+    part = (dem.heights[low[1] : high[1], low[0] : high[0]] - level).astype(np.float32)
+    place = upsample(at - low, step, shape)
+    no_second_map: Any = None
+    true = cv2.remap(part, place, no_second_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(true - upsample(nodes - level, step, shape), dtype=np.float32)
+
+
+def positions(
+    nodes: Array,
+    step: int,
+    shape: tuple[int, int],
+    delta: NDArray[np.float32] | None = None,
+    moves: Array | None = None,
+) -> NDArray[np.float32]:
+    """Pixel positions in a photo at every pixel of a window; (rows, cols, 2).
+
+    Parameters
+    ----------
+    nodes, moves : shape (node rows, node cols, 2)
+        Pixel at the nodes of the mesh, px, and how far it moves per metre of height, px/m.
+    delta : shape (rows, cols)
+        Height that the mesh leaves out, m (see `relief`).
+    """
+    uv = upsample(nodes, step, shape)
+    if delta is None or moves is None:
+        return uv
+    return np.asarray(uv + upsample(moves, step, shape) * delta[..., None])
+
+
+def largest_move(delta: NDArray[np.float32] | None, moves: Array | None) -> float:
+    """How far relief may move a pixel, px."""
+    if delta is None or moves is None:
+        return 0.0
+    height = float(np.nanmax(np.abs(delta), initial=0.0))
+    return height * float(np.max(np.abs(moves), initial=0.0, where=np.isfinite(moves)))

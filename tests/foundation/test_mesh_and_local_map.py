@@ -15,8 +15,10 @@ from georef_gis.model.mesh import (
     LocalMap,
     choose_step,
     node_positions,
+    parallax,
 )
 from georef_gis.model.terrain import FlatTerrain, Terrain
+from georef_gis.rasters.warp import positions, relief
 
 FLAT = FlatTerrain(origin=cases.SITE, height_ellipsoidal=277.6)
 
@@ -31,15 +33,11 @@ def make_grid(code: str, gsd: float, half: float = 40.0) -> Grid:
 
 
 def through_mesh(photo, ground: Ground, grid: Grid, window: Window, step: int) -> np.ndarray:
-    """uv of every pixel centre of a window by bilinear interpolation in the mesh."""
-    nodes = photo.project(ground.enu_at(grid, node_positions(window, step)))
-    col = (np.arange(window.width) + 0.5) / step + 0.5
-    row = (np.arange(window.height) + 0.5) / step + 0.5
-    j, i = col.astype(int), row.astype(int)
-    u, v = (col - j)[None, :, None], (row - i)[:, None, None]
-    top = nodes[i][:, j] * (1 - u) + nodes[i][:, j + 1] * u
-    bottom = nodes[i + 1][:, j] * (1 - u) + nodes[i + 1][:, j + 1] * u
-    return np.asarray(top * (1 - v) + bottom * v)
+    """uv of every pixel centre of a window as a warp takes it."""
+    p_enu = ground.enu_at(grid, node_positions(window, step))
+    delta = relief(ground, grid, window, step)
+    moves = None if delta is None else parallax(photo, p_enu)
+    return positions(photo.project(p_enu), step, (window.height, window.width), delta, moves)
 
 
 def rigorous(photo, terrain: Terrain, code: str, grid: Grid, window: Window) -> np.ndarray:
@@ -71,7 +69,17 @@ def test_mesh_is_the_rigorous_projection_to_a_tenth_of_a_pixel(
     assert np.abs(error).max() < 0.1  # px
 
 
-def test_flat_ground_needs_few_nodes_and_kinks_need_many() -> None:
+def test_dem_in_another_crs_is_met_through_a_checked_polynomial() -> None:
+    grid = make_grid(cases.FEET, 0.1)
+    dem = cases.kinked_dem(cases.UTM)
+    ground = Ground.of(cases.frame(cases.FEET), grid, dem, (270.0, 300.0))
+    assert ground.to_dem is not None
+    xy = grid.map_from_grid(np.random.default_rng(5).uniform(0, grid.width, (300, 2)))
+    rigorous_heights = dem.height_on_map(cases.frame(cases.FEET), xy)
+    assert np.nanmax(np.abs(ground.heights_at(xy) - rigorous_heights)) < 0.01  # m
+
+
+def test_mesh_is_refined_where_parallax_alone_does_not_hold() -> None:
     grid = make_grid(cases.UTM, 0.1)
     window = Window(col=300, row=300, width=256, height=256)
     photo = cases.oriented()
