@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
@@ -19,11 +20,6 @@ from georef_gis.toolbox.registry import Registry
 from georef_gis.toolbox.runner import default_workers
 
 State = Literal["ok", "doubtful", "bad"]
-LIBRARIES = (
-    "numpy", "scipy", "opencv-python-headless", "rasterio", "shapely", "geopandas", "pyogrio",
-    "pyproj", "pydantic", "click", "rich", "lxml", "tifffile", "pillow", "ExifRead", "lensfunpy",
-    "egm96",
-)  # fmt: skip
 # bytes below which a site of a few hundred photos will not fit
 LEAST_DISK = 5_000_000_000
 # bytes, what the products are made within
@@ -58,13 +54,23 @@ def _versions() -> Iterator[Finding]:
     yield Finding(
         subject="python", state="ok", message=f"{platform.python_version()} ({sys.platform})"
     )
-    for name in LIBRARIES:
+    for name in _required():
         try:
             yield Finding(subject=name, state="ok", message=version(name))
         except PackageNotFoundError:
             yield Finding(
                 subject=name, state="bad", message=f"is not installed; pip install {name}"
             )
+
+
+def _required() -> list[str]:
+    """Libraries that this distribution asks for, without its extras."""
+    names = []
+    for requirement in requires("georef-gis") or ():
+        name = re.match(r"[\w.-]+", requirement)
+        if name and "extra ==" not in requirement:
+            names.append(name.group())
+    return names
 
 
 def _data() -> Iterator[Finding]:

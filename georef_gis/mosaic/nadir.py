@@ -43,6 +43,8 @@ SOFT_RIM = 16.0
 # by how much of its reach a photo's distance has grown at its rim: more than any lead, but little
 # more, as the change to the next photo is the steeper
 RIM_PENALTY = 1.2
+# the same for a photo that is doubtful: more than the distances within any photo
+DOUBT_PENALTY = 3.0
 # weight of a photo where it is inside but would not count
 TRACE = np.float32(1e-4)
 
@@ -56,6 +58,8 @@ class MosaicSource:
     reduce: int
     # m; half the longer diagonal of the ground it shows
     reach: float
+    # it gives way to any that is not
+    doubtful: bool = False
 
 
 def mosaic_source(
@@ -212,6 +216,8 @@ class NadirMosaic:
         # Nodes a cell outside still count: a corner of the photo may lie between nodes.
         margin = -3.0 * step * source.reduce - rim
         penalty = RIM_PENALTY * source.reach * np.clip(1.0 - edge / rim, 0.0, None)
+        if source.doubtful:
+            penalty = penalty + DOUBT_PENALTY * source.reach
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(edge > margin, d + penalty, np.inf))
 

@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 Key = tuple[Path, int]
 
 # bytes; what decoded photos may take together
-CACHE_BYTES = 275_000_000
+CACHE_BYTES = 245_000_000
 # px; windows are warped in blocks of this side, a multiple of every mesh step
 BLOCK = 128
 # glibc's number of the option that limits its heaps

@@ -30,7 +30,7 @@ from georef_gis.rasters.spool import LevelSpool, QuarterStore, Spilled
 logger = logging.getLogger(__name__)
 
 # bytes of halved tiles kept in memory; more of them wait on disk
-_WAITING_LIMIT = 96 << 20
+_WAITING_LIMIT = 48 << 20
 # tiles in flight for each worker thread
 _QUEUE = 2
 

@@ -41,7 +41,8 @@ class MosaicTool(Algorithm[MosaicParameters]):
     """One mosaic of all photos as a cloud-optimised GeoTIFF.
 
     Of the photos that show a place the one whose nadir is nearest wins, with a soft change to the
-    next. Works tile by tile: the memory does not grow with the number of photos.
+    next; a doubtful photo gives way to any that is not. Works tile by tile: the memory does not
+    grow with the number of photos.
     """
 
     id, name, group = "mosaic", "Mosaic", "mosaic"
@@ -166,23 +167,21 @@ def _renderer(
     broken: list[str],
     kind: tuple[int, str],
 ) -> NadirMosaic:
+    from dataclasses import replace
+
     from georef_gis.mosaic.nadir import NadirMosaic, mosaic_source
     from georef_gis.rasters.warp import reduction_for
     from processing_algorithms.rasters import ground_of, reach_of
 
     ground = ground_of(site, grid)
     pixel = grid.pixel * site.gsd_unit
-    sources = {
-        key: mosaic_source(
-            site.photos[key],
-            ground,
-            grid,
-            f.ring_map,
-            reduce=reduction_for(pixel, f.gsd),
-            reach=reach_of(f),
+    sources = {}
+    for key, f in footprints.items():
+        reduce = reduction_for(pixel, f.gsd)
+        source = mosaic_source(
+            site.photos[key], ground, grid, f.ring_map, reduce=reduce, reach=reach_of(f)
         )
-        for key, f in footprints.items()
-    }
+        sources[key] = replace(source, doubtful=bool(site.doubts[key]))
     return NadirMosaic(
         sources,
         ground,
