@@ -95,8 +95,9 @@ def main() -> None:
         if args.orthority:
             from orthority_job import orthority_command
 
-            command = orthority_command(args.orthority, project)
-            print(row("orthority, same orthos", [measured(command)], base))
+            for interp, name in (("bilinear", "bilinear as ours"), ("", "its default, cubic")):
+                command = orthority_command(args.orthority, project, interp)
+                print(row(f"orthority, same orthos, {name}", [measured(command)], base))
 
 
 main()

@@ -15,8 +15,11 @@ from georef_gis.project import Project
 from processing_algorithms.site import load_site
 
 
-def orthority_command(oty: str, folder: Path) -> list[str]:
-    """Command that makes the project's orthos with orthority into `folder/oty`."""
+def orthority_command(oty: str, folder: Path, interp: str = "") -> list[str]:
+    """Command that makes the project's orthos with orthority into `folder/oty`.
+
+    `interp` is its interpolation; by default its own, cubic.
+    """
     project = Project.open(folder, read_only=True)
     site = load_site(project)
     out = folder / "oty"
@@ -50,7 +53,8 @@ def orthority_command(oty: str, folder: Path) -> list[str]:
     return [
         oty, "frame", "--dem", str(out / "dem.tif"), "--int-param", str(out / "int.yaml"),
         "--ext-param", str(out / "ext.csv"), "--crs", f"EPSG:{site.frame.horizontal.to_epsg()}",
-        "--res", str(pixel), "--interp", "bilinear", "--compress", "jpeg", "--build-ovw",
+        "--res", str(pixel), *(["--interp", interp] if interp else []),
+        "--compress", "jpeg", "--build-ovw",
         "--out-dir", str(out), "--overwrite",
         *[str(photo.photo.path) for photo in site.photos.values()],
     ]  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from exports import schemas
 from exports.schemas import Feature, Layer, Value
-from exports.site import SiteLayers, SitePhoto
+from exports.site_values import SitePhoto, SiteValues
 from georef_gis.frames import (
     R_BODY_FROM_CAM_NADIR,
     R_PHOTO_FROM_CAM,
@@ -34,7 +34,7 @@ GAP_S = 10.0
 GAP_FACTOR = 5.0
 
 
-def build_layers(site: SiteLayers) -> dict[str, Layer]:
+def build_layers(site: SiteValues) -> dict[str, Layer]:
     """All layers of a site by name."""
     gsd = {f.photo_id: f.gsd for f in site.footprints}
     geo = photo_positions(site.frame, site.photos)
@@ -111,7 +111,7 @@ def number(value: float | None) -> float | None:
 
 
 def _photo_values(
-    site: SiteLayers, p: SitePhoto, point: Array, gsd: float | None, convergence: float
+    site: SiteValues, p: SitePhoto, point: Array, gsd: float | None, convergence: float
 ) -> dict[str, Value]:
     photo = p.photo
     lon, lat, h, big_h = point[0, :4]
@@ -208,7 +208,7 @@ def _iso(instant: datetime | None) -> str | None:
 # -- footprints, track, cameras -----------------------------------------------------------------
 
 
-def _footprints(site: SiteLayers) -> Layer:
+def _footprints(site: SiteValues) -> Layer:
     features = []
     for f in site.footprints:
         values: dict[str, Value] = {
@@ -253,7 +253,7 @@ def _seconds(photo: Photo) -> float | None:
     return None if clock is None else (clock - datetime(2000, 1, 1)).total_seconds()
 
 
-def _track(site: SiteLayers, photos: list[SitePhoto], points: Array) -> Layer:
+def _track(site: SiteValues, photos: list[SitePhoto], points: Array) -> Layer:
     """Flights as lines through their photos in order of time."""
     flights: dict[str, list[tuple[float, int]]] = {}
     for i, p in enumerate(photos):
@@ -296,7 +296,7 @@ def split_at_gaps(stamps: list[tuple[float, int]]) -> list[list[tuple[float, int
     return parts
 
 
-def _track_values(site: SiteLayers, photos: list[Photo]) -> dict[str, Value]:
+def _track_values(site: SiteValues, photos: list[Photo]) -> dict[str, Value]:
     return {
         "photos": len(photos),
         "first_photo": photos[0].id,
@@ -306,7 +306,7 @@ def _track_values(site: SiteLayers, photos: list[Photo]) -> dict[str, Value]:
     }
 
 
-def _cameras(site: SiteLayers) -> Layer:
+def _cameras(site: SiteValues) -> Layer:
     empty = np.zeros((0, 6))
     features = []
     for camera in site.cameras:

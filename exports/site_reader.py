@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from exports.site import SiteLayers, SitePhoto
+from exports.site_values import SitePhoto
 from georef_gis.errors import ExportError
 from georef_gis.project.records import camera_of, footprint_of, load_frame, photo_of, pose_of
 
@@ -18,8 +18,14 @@ Row = Mapping[str, Any]
 POSE_KINDS = ("tags", "navigation", "adjusted")
 
 
-def read_site(project: Project) -> SiteLayers:
-    """What a project's database and products hold; see `SiteLayers.from_project`."""
+def read_site(project: Project) -> dict[str, Any]:
+    """What a project's database and products hold: the fields of `SiteValues`.
+
+    Raises
+    ------
+    ExportError
+        If it has no photos yet.
+    """
     database = project.database
     if not database.count("photo"):
         raise ExportError(f"{project.folder}: has no photos yet; run `georef run` first")
@@ -28,7 +34,7 @@ def read_site(project: Project) -> SiteLayers:
     poses = _poses(database.rows("pose"), used)
     mosaic = project.products / "mosaic.tif"
     shown = project.settings.products.mosaic and mosaic.is_file()
-    return SiteLayers(
+    return dict(
         name=project.settings.project.name or project.folder.name,
         frame=load_frame(database),
         photos=tuple(
