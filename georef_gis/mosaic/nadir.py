@@ -24,6 +24,7 @@ from georef_gis.rasters.warp import (
     all_inside,
     blank,
     blocks,
+    copy_where,
     inside_image,
     largest_move,
     positions,
@@ -314,7 +315,7 @@ def _blend(parts: list[_Part], out: Image, mask: Mask) -> None:
             out[...] = parts[0].data
             mask[...] = True
         else:
-            np.copyto(out, parts[0].data, where=inside[..., None])
+            copy_where(parts[0].data, inside, out, clear=True)
             mask[...] = inside
         return
     weights = [part.weight() for part in parts]
