@@ -12,13 +12,14 @@ from georef_gis.toolbox.runner import StepReport, products_of
 
 # Lines of doubts shown; all are in the database.
 MOST_DOUBTS = 20
+MERGED_KEYS = ("gsd_m", "covered_m2", "sigma_horizontal_m")
 STANDARD_KEYS = ("products", "gsd_m", "covered_m2", "doubts")
 # m2 in a hectare; areas from there on are given in it
 HECTARE = 1e4
 
 
 def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
-    """Where the products are, GSD, covered area and doubts, after `georef run`."""
+    """Where the products are, GSD, covered area, accuracy and doubts, after `georef run`."""
     ran = [report for report in reports if not report.skipped]
     lines = [
         f"{report.tool.id:<20} {report.duration_s:7.1f} s  ({report.reason})" for report in ran
@@ -27,7 +28,7 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
         lines.append(f"{len(reports) - len(ran)} of {len(reports)} steps were unchanged")
     merged: dict[str, Any] = {}
     for report in reports:
-        merged |= {key: report.result.summary[key] for key in ("gsd_m", "covered_m2")
+        merged |= {key: report.result.summary[key] for key in MERGED_KEYS
                    if report.result.summary.get(key) is not None}  # fmt: skip
     products = [database, *products_of(reports)] if database.exists() else products_of(reports)
     lines += [f"wrote  {_short(path)}" for path in products]
@@ -35,6 +36,11 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
         lines.append(f"GSD    {length_text(merged['gsd_m'])}")
     if "covered_m2" in merged:
         lines.append(f"area   {area_text(merged['covered_m2'])}")
+    if "sigma_horizontal_m" in merged:
+        lines.append(
+            f"trust  a photo's place to {length_text(merged['sigma_horizontal_m'])} "
+            "(one sigma east and north, median); neighbours err alike"
+        )
     doubts = [doubt for report in reports for doubt in report.result.summary.get("doubts", ())]
     return lines + _doubt_lines(list(dict.fromkeys(doubts)))
 
