@@ -3,6 +3,7 @@
 from processing_algorithms.ingest.check import Check
 from processing_algorithms.ingest.init import Init
 from processing_algorithms.ingest.photos import ReadPhotos
+from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.mosaic.mosaic import MosaicTool
 from processing_algorithms.orient.direct import OrientDirect
@@ -19,5 +20,6 @@ ALGORITHMS = (
     Footprints,
     Orthos,
     MosaicTool,
+    ControlPoints,
     MeasurePhoto,
 )

@@ -41,6 +41,7 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
             f"trust  a photo's place to {length_text(merged['sigma_horizontal_m'])} "
             "(one sigma east and north, median); neighbours err alike"
         )
+    lines += [line for report in reports for line in _control_lines(report.result.summary)]
     doubts = [doubt for report in reports for doubt in report.result.summary.get("doubts", ())]
     return lines + _doubt_lines(list(dict.fromkeys(doubts)))
 
@@ -82,6 +83,17 @@ def length_text(length_m: float) -> str:
 def area_text(area_m2: float) -> str:
     """Area in the unit that suits it."""
     return f"{area_m2 / HECTARE:.2f} ha" if area_m2 >= HECTARE else f"{area_m2:.0f} m2"
+
+
+def _control_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How the poses agree with surveyed points, if there are any."""
+    if "compared" not in summary:
+        return []
+    east, north = length_text(summary["rms_east_m"]), length_text(summary["rms_north_m"])
+    return [
+        f"points {summary['compared']} marks lie off by {east} east, {north} north (rms); "
+        f"{length_text(summary['expected_sigma_m'])} was to be expected"
+    ]
 
 
 def _doubt_lines(doubts: Sequence[str]) -> list[str]:

@@ -201,14 +201,11 @@ class ControlSection(Section):
 
 
 class LogsSection(Section):
-    """Logs of the flight."""
+    """Logs of the flight; named here for the navigation, which does not read them yet."""
 
     imu: Path | None = Field(default=None, description="IMU log (imu.csv)")
     gnss: Path | None = Field(default=None, description="GNSS log (gnss.csv)")
     sync: Path | None = Field(default=None, description="Sync-board log")
-    camera_clock_offset_s: float | None = Field(
-        default=None, description="Camera clock to navigation clock, s, if known"
-    )
 
 
 class ProductsSection(Section):
@@ -227,9 +224,6 @@ class ProductsSection(Section):
         description='Names of the bands, such as ["NIR", "green", "blue"]; "auto" by count',
     )
     quality: int = Field(default=85, ge=1, le=100, description="Of a lossy compression, 1 to 100")
-    max_tilt_deg: float = Field(
-        default=60.0, gt=0, lt=90, description="Rays farther off nadir are left out"
-    )
 
 
 class Settings(Section):

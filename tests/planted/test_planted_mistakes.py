@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from georef_gis import geodesy
+from georef_gis import ellipsoid, geodesy
 from georef_gis.errors import GeorefError
 from georef_gis.geodesy import Height, HeightKind, MapFrame, Origin, map_crs, metres_per_unit
 from georef_gis.model.camera import Camera
@@ -322,7 +322,7 @@ def gimbal_nominal(patch: Patch) -> None:
 
 
 def sphere(patch: Patch) -> None:
-    patch.setattr(geodesy, "WGS84_E2", 0.0)
+    patch.setattr(ellipsoid, "WGS84_E2", 0.0)
 
 
 def ortho_half_pixel(patch: Patch) -> None:
