@@ -273,7 +273,25 @@ def _realisation_of(crs: CRS) -> Datum:
     base = crs.geodetic_crs
     if base is None or base.datum is None or "ensemble" in base.datum.type_name.lower():
         return Datum()
+    try:
+        CRS.from_user_input(base.name)
+    except _PyprojCrsError:
+        # A WKT with a datum of its own name: not a realisation that anything can be told of.
+        return Datum()
     return Datum(name=base.name)
+
+
+def _is_nameless(geographic: CRS) -> bool:
+    """Whether a WKT's datum is one of its own on the ellipsoid of WGS 84 or GRS 80.
+
+    PROJ knows no way to it; it is taken as WGS 84, `UNKNOWN_DATUM_SIGMA` apart.
+    """
+    ellipsoid = geographic.ellipsoid
+    if ellipsoid is None or abs(ellipsoid.semi_major_metre - WGS84_A) > 0.5:
+        return False
+    return not TransformerGroup(
+        CRS.from_epsg(4979).to_2d(), geographic, always_xy=True, allow_ballpark=False
+    ).transformers
 
 
 @functools.lru_cache(maxsize=32)
@@ -332,6 +350,8 @@ class MapFrame:
         # With the datum step done (or void) only the projection is left; without it PROJ joins
         # the ensembles (a null step for NAD83 and WGS 84, a shift for e.g. NAD27 or OSGB36).
         source = geographic if self._datum_step else CRS.from_epsg(4979).to_2d()
+        if not self._datum_step and _is_nameless(geographic):
+            source = geographic
         self._project = _transformer(source, self.horizontal)
 
     def _make_datum_step(self) -> Transformer | None:

@@ -171,7 +171,10 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> DemTerr
     raster = read_grid(path, window=(c0, r0, width, height))
     _, _, left, _, _, top = raster.transform
     values = raster.values.astype(np.float64) * _unit(header.unit, path)
-    heights = _ellipsoidal(values, raster.transform, own, crs, project)
+    # GDAL fills a band's unit from the vertical CRS: it counts once.
+    heights = _ellipsoidal(
+        values, raster.transform, own, crs, project, stated_unit=bool(header.unit)
+    )
     return dem_terrain(
         own,
         heights,
@@ -209,12 +212,18 @@ def _cell_scale(frame: MapFrame, p_enu: Array) -> float:
 
 
 def _ellipsoidal(
-    values: Array, transform: tuple[float, ...], frame: MapFrame, crs: Any, project: Project
+    values: Array,
+    transform: tuple[float, ...],
+    frame: MapFrame,
+    crs: Any,
+    project: Project,
+    *,
+    stated_unit: bool,
 ) -> Array:
     """Ellipsoidal heights, m, from a DEM's own unit and kind; shape (rows, cols)."""
     kind = project.settings.ground.dem_height_kind
     vertical = crs.sub_crs_list[1] if crs.is_compound else None
-    if vertical is not None:
+    if vertical is not None and not stated_unit:
         values = values * vertical.axis_info[0].unit_conversion_factor
     if kind == "ellipsoidal" or (kind == "auto" and len(crs.axis_info) == 3 and vertical is None):
         return values

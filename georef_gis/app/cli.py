@@ -114,7 +114,7 @@ def face_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @georef.command(short_help="Make the products: all steps that are not up to date.")
 @click.argument("project", default=".", type=click.Path(path_type=Path))
 @click.option("--quick", is_flag=True, help="A first answer, from the poses alone.")
-@click.option("--only", metavar="ID[,ID]", default="", help="Only these steps.")
+@click.option("--only", metavar="ID[,ID]", multiple=True, help="Only these steps.")
 @click.option("--from", "start", metavar="ID", default="", help="From this step on.")
 @click.option("--force", is_flag=True, help="Run steps that are up to date too.")
 @click.option("--verify", is_flag=True, help="Hash all of the inputs and products.")
@@ -139,7 +139,7 @@ def run(project: Path, as_json: bool, verbose: int, values: tuple[str, ...], **w
         from georef_gis.project import Project
         from georef_gis.toolbox.runner import run_pipeline
 
-        wishes["only"] = tuple(name for name in wishes["only"].split(",") if name)
+        wishes["only"] = tuple(name for part in wishes["only"] for name in part.split(",") if name)
         given, options = _settings(values), _options(wishes)
         found = Project.open(project)
         reports = run_pipeline(_registry(), found, feedback, values=given, options=options)

@@ -152,7 +152,8 @@ class NadirMosaic:
 
     def sketch(self, task: TileTask) -> TileSketch:
         """Geometry of a tile: which photos count where. Cheap, reads no photo."""
-        sources = [self._sources[i] for i in task.photo_ids if i in self._sources]
+        found = (self._sources.get(i) for i in task.photo_ids)
+        sources = [source for source in found if source is not None]
         if not sources:
             return TileSketch(task, 1, ())
         step = min(s.step for s in sources)
@@ -202,11 +203,9 @@ class NadirMosaic:
 
     def _drop(self, sketch: TileSketch, error: InputError) -> None:
         self._broken.append(str(error))
-        for layer in sketch.layers:
-            try:
-                self._read(*layer.key)
-            except InputError:
-                self._sources.pop(layer.source.photo.id, None)
+        gone = [a for a in sketch.layers if a.source.photo.photo.path.name in error.source]
+        for layer in gone or sketch.layers:
+            self._sources.pop(layer.source.photo.id, None)
 
     def _cost(self, source: MosaicSource, p_enu: Array, uv: Array, step: int) -> Array:
         """Distance from the nadir, m, growing towards the rim; inf beyond it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -169,7 +169,8 @@ def _direct_pose(
             field="GPSAltitude",
         )
     p_tag = origin.enu_from_geo([tag.lat, tag.lon, heights.cameras[photo.id]])
-    attitude, sigma_rp, sigma_yaw, doubts = _attitude(photo, settings, course)
+    convergence = convergence_at(p_tag)
+    attitude, sigma_rp, sigma_yaw, doubts = _attitude(photo, settings, course, convergence)
     if photo.id in heights.photo_doubts:
         doubts.append(heights.photo_doubts[photo.id])
     R_enu_cam = R_enu_from_cam_of_tag(
@@ -179,7 +180,7 @@ def _direct_pose(
         vehicle_lat=tag.lat,
         vehicle_lon=tag.lon,
         mount=mount,
-        convergence=convergence_at(p_tag),
+        convergence=convergence,
     )
     R_enu_ned = R_enu_from_ned(origin.lat, origin.lon, tag.lat, tag.lon)
     lever = np.zeros(3)
@@ -212,7 +213,7 @@ def _orthonormal(R: Array) -> Array:
 
 
 def _attitude(
-    photo: Photo, settings: DirectSettings, course: float | None
+    photo: Photo, settings: DirectSettings, course: float | None, convergence: float
 ) -> tuple[AttitudeTag, float, float, list[str]]:
     """Attitude to use, its sigmas (rad) and what is doubtful about it."""
     doubts: list[str] = []
@@ -233,7 +234,7 @@ def _attitude(
             course, sigma_yaw = 0.0, SIGMA_ANY_HEADING
         elif tag.yaw is None:
             doubts.append(f"no heading in the tags: course made good {_deg(course)} deg is used")
-        tag = _with_yaw(tag, course)
+        tag = with_heading(tag, course, convergence)
     elif tag.yaw_is_course:
         sigma_yaw = max(sigma_yaw, SIGMA_CRAB)
     sigma_rp = settings.sigma_roll_pitch or sigma_rp
@@ -245,16 +246,19 @@ def _deg(angle: float) -> str:
     return f"{math.degrees(angle) % 360.0:.0f}"
 
 
-def _with_yaw(tag: AttitudeTag, yaw: float) -> AttitudeTag:
-    return AttitudeTag(
-        dialect=tag.dialect,
-        roll=tag.roll,
-        pitch=tag.pitch,
-        yaw=yaw,
-        sigma_roll_pitch=tag.sigma_roll_pitch,
-        vehicle_yaw=tag.vehicle_yaw,
-        yaw_is_course=True,
-    )
+def with_heading(tag: AttitudeTag, heading: float, convergence: float = 0.0) -> AttitudeTag:
+    """Tag whose image top points to a heading, rad clockwise from true north.
+
+    A gimbal near nadir has yaw + roll for its heading; kappa runs counter-clockwise from the
+    map's axes, which the meridian convergence turns.
+    """
+    entry = dialect(tag.dialect)
+    yaw = heading
+    if entry.nominal == "photo":
+        yaw = convergence - heading
+    elif entry.nominal == "horizon" and tag.pitch < -math.pi / 4:
+        yaw = heading - tag.roll
+    return replace(tag, yaw=yaw, yaw_is_course=True)
 
 
 def _covariance(

@@ -47,7 +47,7 @@ class Heights:
     photo_doubts: Mapping[str, str] = field(default_factory=dict)
 
 
-def tag_height(photo: Photo, kind: HeightKind | None) -> float | None:
+def tag_height(photo: Photo, kind: HeightKind | None, geoid: str = "egm96") -> float | None:
     """Ellipsoidal height of a photo's tag, m, or None where its kind is not known.
 
     `kind` is the user's word and goes before the tag's.
@@ -55,7 +55,8 @@ def tag_height(photo: Photo, kind: HeightKind | None) -> float | None:
     tag = photo.geotag
     if tag is None or tag.height is None:
         return None
-    height = tag.height if kind is None else Height(value=tag.height.value, kind=kind)
+    # Tags never name their geoid: the project's holds for all.
+    height = Height(value=tag.height.value, kind=kind or tag.height.kind, geoid=geoid)
     try:
         return height.ellipsoidal(tag.lat, tag.lon)
     except CrsError:
@@ -68,6 +69,7 @@ def solve_heights(
     ground: GroundSetting,
     *,
     kind: HeightKind | None = None,
+    geoid: str = "egm96",
 ) -> Heights:
     """Heights of the cameras above one ground.
 
@@ -80,8 +82,8 @@ def solve_heights(
     InputError
         If nothing tells how high the cameras flew.
     """
-    absolute = {p.id: tag_height(p, kind) for p in photos}
-    relative = {p.id: _relative(p) for p in photos}
+    absolute = {p.id: tag_height(p, kind, geoid) for p in photos}
+    relative = {p.id: _relative(p, kind) for p in photos}
     if ground.height_above_ground is not None:
         return _from_user_height(photos, origin, ground, absolute)
     if ground.dem is not None or ground.height is not None:
@@ -96,7 +98,10 @@ def solve_heights(
     )
 
 
-def _relative(photo: Photo) -> float | None:
+def _relative(photo: Photo, kind: HeightKind | None) -> float | None:
+    height = photo.geotag.height if photo.geotag is not None else None
+    if height is not None and (kind or height.kind) is HeightKind.ABOVE_GROUND:
+        return height.value
     if photo.height_above_ground is not None:
         return photo.height_above_ground
     return photo.height_above_takeoff

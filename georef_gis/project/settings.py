@@ -132,10 +132,10 @@ class GnssSection(Section):
         default="auto", description='What a tag\'s position is of: "auto", "antenna" or "camera"'
     )
     sigma_h_m: float | None = Field(
-        default=None, gt=0, description="One sigma in east and north, m; from the tags, else 3"
+        default=None, gt=0, description="One sigma in east and north, m; from the tags, else 2.2"
     )
     sigma_v_m: float | None = Field(
-        default=None, gt=0, description="One sigma of the height, m; from the tags, else 6"
+        default=None, gt=0, description="One sigma of the height, m; from the tags, else 5"
     )
 
 
@@ -166,12 +166,14 @@ class GroundSection(Section):
     """Where the ground is: a DEM, or one height."""
 
     dem: Path | None = Field(default=None, description="Raster of ground heights")
-    dem_height_kind: HeightKind = Field(
+    dem_height_kind: Literal["auto", "ellipsoidal", "orthometric"] = Field(
         default="auto",
         description='Kind of the DEM\'s heights: "auto", "ellipsoidal", "orthometric"',
     )
     height_m: float | None = Field(default=None, description="One height of the ground, m")
-    height_kind: HeightKind = Field(default="orthometric", description="Kind of height_m")
+    height_kind: Literal["ellipsoidal", "orthometric"] = Field(
+        default="orthometric", description='Kind of height_m: "ellipsoidal" or "orthometric"'
+    )
     height_above_ground_m: float | None = Field(
         default=None, gt=0, description="Flying height above ground, m, where the tags have none"
     )
@@ -221,7 +223,7 @@ class ProductsSection(Section):
     )
     band_names: tuple[str, ...] = Field(
         default=(),
-        description='Names of the bands, such as ["NIR", "green", "blue"]; "auto" by count',
+        description='Names of the bands, such as ["NIR", "green", "blue"]; else by their number',
     )
     quality: int = Field(default=85, ge=1, le=100, description="Of a lossy compression, 1 to 100")
 

@@ -78,6 +78,7 @@ class ImageCache:
         self._uses: dict[Key, deque[int]] = {}
         self._lock = threading.Lock()
         self._reading: dict[Key, threading.Lock] = {}
+        self._decoding = 0
         self.decodes = 0
 
     def capacity(self, image_bytes: int) -> int:
@@ -109,9 +110,14 @@ class ImageCache:
             with self._lock:
                 if key in self._images:
                     return self._images[key]
-                # Before the new one is there: the two together would exceed the budget.
-                self._make_room(self._largest())
-            image = self._read(path, reduce)
+                # Before the new ones are there: all together would exceed the budget.
+                self._decoding += 1
+                self._make_room(self._largest() * self._decoding)
+            try:
+                image = self._read(path, reduce)
+            finally:
+                with self._lock:
+                    self._decoding -= 1
             with self._lock:
                 self.decodes += 1
                 self._images[key] = image
@@ -356,5 +362,8 @@ def largest_move(delta: NDArray[np.float32] | None, moves: Array | None) -> floa
     """How far relief may move a pixel, px."""
     if delta is None or moves is None:
         return 0.0
+    if np.isnan(delta).any():
+        # A hole of the DEM may lie between the nodes: every pixel is looked at.
+        return math.inf
     height = float(np.nanmax(np.abs(delta), initial=0.0))
     return height * float(np.max(np.abs(moves), initial=0.0, where=np.isfinite(moves)))

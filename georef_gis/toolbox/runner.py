@@ -29,7 +29,10 @@ logger = logging.getLogger(__name__)
 # A record keeps this many warnings; a batch of 10 000 photos may give as many.
 MOST_WARNINGS = 1000
 # Errors of the system that the user can cure.
-CURABLE = (errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT, errno.EFBIG)
+CURABLE = (
+    errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT, errno.EFBIG,
+    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EIO,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,7 +202,7 @@ def _curable(tool: Tool) -> Iterator[None]:
             raise
         where = f"{error.filename}: " if error.filename else ""
         raise ExportError(
-            f"tool {tool.id}: {where}{error.strerror}; check free space and permission"
+            f"tool {tool.id}: {where}{error.strerror}; check the path, free space and permission"
         ) from error
 
 

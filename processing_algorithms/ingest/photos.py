@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +34,8 @@ class ReadPhotos(Algorithm[p.Parameters]):
         """Photos and the file of poses."""
         project = context.require_project()
         poses = project.settings.poses.file
-        return [*project.photo_files(), *([project.path(poses)] if poses else [])]
+        own = [project.path(poses) if poses else None, _crs_file(project)]
+        return [*project.photo_files(), *(file for file in own if file is not None)]
 
     def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
         """Read them."""
@@ -90,7 +92,8 @@ def _with_pose_file(project: Project, photos: list[Photo]) -> tuple[list[Photo],
         crs=settings.crs,
         near=tags[len(tags) // 2] if tags else None,
     )
-    found, unknown = match_poses(poses, [photo.path.name for photo in photos])
+    names = Counter(photo.path.name for photo in photos)
+    found, unknown = match_poses(poses, [name for name, count in names.items() if count == 1])
     doubts = []
     if len(found) < len(photos) or unknown:
         doubts.append(
@@ -137,8 +140,8 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
     origin = Origin(lat=lat, lon=lon, height_ellipsoidal=round(level, 1))
     settings = project.settings
     text = settings.project.crs
-    file = project.path(text) if text.lower().endswith((".wkt", ".prj")) else None
-    crs = utm_crs(lat, lon) if text == "auto" else map_crs(file.read_text() if file else text)
+    file = _crs_file(project)
+    crs = utm_crs(lat, lon) if text == "auto" else map_crs(_text(file) if file else text)
     output = settings.project.datum_output
     frame = MapFrame(
         origin,
@@ -149,6 +152,22 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
     frame.check_inside(np.zeros((1, 3)))
     geoid_undulation(lat, lon, geoid=settings.gnss.geoid)
     return frame
+
+
+def _crs_file(project: Project) -> Path | None:
+    """File with the CRS that project.toml names, if it names one."""
+    text = project.settings.project.crs
+    return project.path(text) if text.lower().endswith((".wkt", ".prj")) else None
+
+
+def _text(file: Path) -> str:
+    from georef_gis.errors import InputError
+
+    try:
+        return file.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
+        raise InputError(f"cannot be read ({reason})", source=str(file), field="crs") from error
 
 
 def _save(

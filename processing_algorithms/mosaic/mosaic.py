@@ -87,6 +87,9 @@ class MosaicTool(Algorithm[MosaicParameters]):
             project, site.frame, grid, bands=bands, dtype=dtype,
             title=project.settings.project.name or "mosaic",
         )  # fmt: skip
+        names = project.settings.products.band_names
+        if names and len(names) != bands:
+            feedback.warn(f"[products] band_names: {len(names)} names for {bands} bands, not used")
         target = project.products / "mosaic.tif"
         broken: list[str] = []
         mosaic = _renderer(site, footprints, grid, cache, broken, kind)

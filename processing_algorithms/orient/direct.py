@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from georef_gis.project import Project
 
 
+LEVER_ARM_KEYS = {"lever_arm_camera_m", "lever_arm_antenna_m", "sigma_lever_arm_m"}
+BORESIGHT_KEYS = {"boresight_deg", "sigma_boresight_deg"}
+
+
 class OrientDirect(Algorithm[p.Parameters]):
     """Pose of every photo from its tags.
 
@@ -88,6 +92,8 @@ def _with_dialect(photo: Photo, project: Project) -> Photo:
     """Photo whose angles are read as the dialect that project.toml names."""
     from dataclasses import replace
 
+    from georef_gis.orient.direct import with_heading
+
     name = project.settings.attitude.dialect
     attitude = photo.attitude
     if attitude is None:
@@ -95,7 +101,7 @@ def _with_dialect(photo: Photo, project: Project) -> Photo:
     if name != "auto":
         attitude = replace(attitude, dialect=name)
     if project.settings.attitude.yaw_source == "flight" and attitude.vehicle_yaw is not None:
-        attitude = replace(attitude, yaw=attitude.vehicle_yaw)
+        attitude = with_heading(attitude, attitude.vehicle_yaw)
     return replace(photo, attitude=attitude)
 
 
@@ -136,11 +142,13 @@ def _heights(
     gnss = project.settings.gnss
     kind = None if gnss.height_kind == "auto" else HeightKind(gnss.height_kind)
     try:
-        return solve_heights(photos, frame.origin, ground, kind=kind)
+        return solve_heights(photos, frame.origin, ground, kind=kind, geoid=gnss.geoid)
     except InputError as error:
         if kind is not None or "height_kind" not in error.field:
             raise
-    heights = solve_heights(photos, frame.origin, ground, kind=HeightKind.ORTHOMETRIC)
+    heights = solve_heights(
+        photos, frame.origin, ground, kind=HeightKind.ORTHOMETRIC, geoid=gnss.geoid
+    )
     geoid = float(geoid_undulation(frame.origin.lat, frame.origin.lon, geoid=gnss.geoid))
     doubt = (
         "the tags do not state the kind of their heights: taken as above sea level, as EXIF means "
@@ -165,9 +173,9 @@ def _mount(project: Project) -> Mount:
         lever_arm_body_camera=np.array(mount.lever_arm_camera_m),
         lever_arm_body_antenna=np.array(mount.lever_arm_antenna_m),
         boresight_body=np.radians(mount.boresight_deg),
-        sigma_lever_arm=mount.sigma_lever_arm_m if "lever_arm_camera_m" in stated else 0.0,
-        # Without a stated boresight the dialect's own sigma holds it already.
-        sigma_boresight=math.radians(mount.sigma_boresight_deg) if "boresight_deg" in stated else 0,
+        sigma_lever_arm=mount.sigma_lever_arm_m if stated & LEVER_ARM_KEYS else 0.0,
+        # Where nothing is stated the dialect's own sigma holds the boresight already.
+        sigma_boresight=math.radians(mount.sigma_boresight_deg) if stated & BORESIGHT_KEYS else 0.0,
     )
 
 
