@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from georef_gis.geodesy import (
     parse_crs,
 )
 from georef_gis.model.layers import Footprint
-from georef_gis.model.photo import OrientedPhoto
+from georef_gis.model.photo import Geotag, OrientedPhoto
 from georef_gis.model.terrain import DemTerrain, FlatTerrain, Terrain, dem_terrain
 from georef_gis.project import Project
 from georef_gis.project.records import camera_of, footprint_of, load_frame, photo_of, pose_of
@@ -80,6 +81,16 @@ def load_site(project: Project, *, quick: bool = False) -> Site:
         raise InputError("no photo has a pose; run `georef run`", source=str(database.path))
     terrain = load_ground(project, frame)
     return Site(frame=frame, terrain=terrain, photos=photos, pose_kinds=kinds, doubts=doubts)
+
+
+def middle_of(tags: Sequence[Geotag]) -> tuple[float, float]:
+    """Latitude and longitude, rad, amid positions: the median, across the 180th meridian too."""
+    lat = float(np.median([tag.lat for tag in tags]))
+    first = tags[0].lon
+    turn = 2.0 * np.pi
+    east = [(tag.lon - first + np.pi) % turn - np.pi for tag in tags]
+    lon = (first + float(np.median(east)) + np.pi) % turn - np.pi
+    return lat, float(lon)
 
 
 def load_footprints(project: Project) -> dict[str, Footprint]:
@@ -154,6 +165,11 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> DemTerr
     header = read_grid_header(path)
     if not header.crs_wkt:
         raise CrsError("has no CRS; add a .prj beside it", source=str(path), field="CRS")
+    a, b, _, d, e, _ = header.transform
+    if b or d or a <= 0 or e >= 0:
+        raise InputError(
+            "is not north-up; warp it to a north-up raster (e.g. gdalwarp)", source=str(path)
+        )
     crs = parse_crs(header.crs_wkt)
     own = MapFrame(frame.origin, horizontal_crs(crs), gnss_datum=frame.gnss_datum, crs_datum=None)
     a, _, left, _, e, top = header.transform

@@ -73,10 +73,17 @@ class Check(Algorithm[CheckParameters]):
             "holes": len(rings),
             "blurred": len(soft),
             "doubts": doubts,
-            "verdict": "fly again what the KML shows" if rings or soft else "nothing to fly again",
+            "verdict": _verdict(checked=bool(prints), again=bool(rings or soft)),
             "products": [str(parameters.target)],
         }
         return Result(outputs={"kml": parameters.target}, summary=summary)
+
+
+def _verdict(*, checked: bool, again: bool) -> str:
+    """What the crew is to do; a coverage that could not be checked is never good."""
+    if again:
+        return "fly again what the KML shows"
+    return "nothing to fly again" if checked else "the coverage was not checked: see the doubts"
 
 
 def _unsharp(photos: list[Photo], workers: int, feedback: Feedback) -> dict[str, str]:
@@ -112,7 +119,6 @@ def _footprints(
     result: Any, photos: list[Photo], height: float | None
 ) -> tuple[MapFrame | None, list[Footprint], list[str]]:
     """Footprints on flat ground from the tags, and what is doubtful about the poses."""
-    import numpy as np
 
     from georef_gis.errors import GeorefError
     from georef_gis.geodesy import MapFrame, Origin, utm_crs
@@ -121,16 +127,14 @@ def _footprints(
     from georef_gis.orient.direct import DirectSettings, direct_poses
     from georef_gis.orient.heights import GroundSetting, solve_heights
     from georef_gis.rectify.footprints import footprint
+    from processing_algorithms.site import middle_of
 
     placed = [photo for photo in photos if photo.geotag is not None]
     tags = [photo.geotag for photo in placed if photo.geotag is not None]
     if not tags:
         return None, [], ["no photo has a GPS position: the coverage cannot be checked"]
-    origin = Origin(
-        lat=float(np.median([t.lat for t in tags])),
-        lon=float(np.median([t.lon for t in tags])),
-        height_ellipsoidal=0.0,
-    )
+    lat, lon = middle_of(tags)
+    origin = Origin(lat=lat, lon=lon, height_ellipsoidal=0.0)
     frame = MapFrame(origin, utm_crs(origin.lat, origin.lon))
     doubts: list[str] = []
     prints: list[Footprint] = []

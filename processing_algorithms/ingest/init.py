@@ -81,7 +81,9 @@ class Init(Algorithm[InitParameters]):
 
 
 def _has_photos(folder: Path) -> bool:
-    return any(f.suffix.lower() in {".jpg", ".jpeg", ".tif", ".tiff"} for f in folder.iterdir())
+    endings = {".jpg", ".jpeg", ".tif", ".tiff"}
+    other = {name for _, _, names in _FOUND for name in names}
+    return any(f.suffix.lower() in endings and f.name not in other for f in folder.iterdir())
 
 
 def _values(folder: Path, into: Path, parameters: InitParameters) -> dict[str, dict[str, Any]]:

@@ -123,6 +123,7 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
 
     from georef_gis.errors import MissingMetadataError
     from georef_gis.geodesy import Datum, MapFrame, Origin, geoid_undulation, map_crs, utm_crs
+    from processing_algorithms.site import middle_of
 
     tags = [photo.geotag for photo in photos if photo.geotag is not None]
     if not tags:
@@ -132,8 +133,7 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
             field="GPS",
         )
     # The median: one position on another continent must not move the origin there.
-    lat = float(np.median([tag.lat for tag in tags]))
-    lon = float(np.median([tag.lon for tag in tags]))
+    lat, lon = middle_of(tags)
     heights = [tag.height for tag in tags if tag.height is not None]
     level = float(np.median([h.value for h in heights])) if heights else 0.0
     # The height of the origin only sets where enu's zero lies.

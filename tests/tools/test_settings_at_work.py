@@ -102,3 +102,36 @@ def test_only_may_be_given_more_than_once(tmp_path: Path) -> None:
     folder = make(tmp_path / "site", "[ground]\nheight_above_ground_m = 65.0\n")
     words = ["run", str(folder), "--only", "read_photos", "--only", "orient_direct"]
     assert CliRunner().invoke(cli.georef, words).exit_code == 0
+
+
+def test_middle_of_positions_across_the_180th_meridian() -> None:
+    from georef_gis.model.photo import Geotag
+    from processing_algorithms.site import middle_of
+
+    lons = np.radians([179.9, -179.9, -179.95])
+    lat, lon = middle_of([Geotag(lat=0.1, lon=float(v)) for v in lons])
+    assert lat == pytest.approx(0.1)
+    assert np.degrees(lon) == pytest.approx(-179.95, abs=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turned", [False, True], ids=["south-up", "rotated"])
+def test_dem_that_is_not_north_up_is_refused(tmp_path: Path, turned: bool) -> None:
+    with rasterio.open(SAMPLE / "dem.asc") as source:
+        values, t = source.read(1), source.transform
+    bottom = t.f + t.e * values.shape[0]
+    other = (
+        rasterio.Affine(t.a, 0.5, t.c, 0.5, t.e, t.f)
+        if turned
+        else rasterio.Affine(t.a, 0, t.c, 0, -t.e, bottom)
+    )
+    text = '[gnss]\nheight_kind = "orthometric"\n[ground]\ndem = "dem.tif"\n'
+    folder = make(tmp_path / "site", text)
+    with rasterio.open(
+        folder / "dem.tif", "w", driver="GTiff", width=values.shape[1], height=values.shape[0],
+        count=1, dtype="float32", crs="EPSG:32617", transform=other,
+    ) as target:  # fmt: skip
+        target.write(values.astype(np.float32), 1)
+    done = run(folder)
+    assert done.exit_code == 2
+    assert "north-up" in done.stderr
