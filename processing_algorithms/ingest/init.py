@@ -13,7 +13,7 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     from georef_gis.ingest.photos import ReadResult
 
-# Files that lie beside the photos, and the key of project.toml that takes them.
+# Files that lie in the folder of the project, and the key of project.toml that takes them.
 _FOUND = (
     ("ground", "dem", ("dem.tif", "dem.asc", "dsm.tif")),
     ("control", "file", ("control/control.csv", "control.csv", "gcp_list.txt")),
@@ -39,7 +39,7 @@ class Init(Algorithm[InitParameters]):
     """Look at a folder of photos and write project.toml.
 
     Says what was found: cameras, positions, angles, heights, and what is doubtful. A DEM, control
-    points and logs beside the photos are entered.
+    points and logs in the folder of the project are entered.
     """
 
     id, name, group = "init", "New project", "project"
