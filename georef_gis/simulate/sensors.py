@@ -130,6 +130,7 @@ def imu_of_states(
     gyro, accel = states.gyro, states.accel
     if rng is not None:
         gyro_bias = math.radians(settings.gyro_bias_deg_h) / 3600.0 * rng.normal(size=3)
+        gyro = gyro + gyro @ _misalignment(settings, rng).T
         accel_bias = settings.accel_bias * rng.normal(size=3)
         density = math.sqrt(settings.imu_rate)
         gyro_white = math.radians(settings.gyro_walk_deg_rt_h) / 60.0 * density
@@ -139,6 +140,14 @@ def imu_of_states(
     return ImuLog(
         time=states.time, gyro=gyro, accel=accel, gyro_bias=gyro_bias, accel_bias=accel_bias
     )
+
+
+def _misalignment(settings: FlightSettings, rng: np.random.Generator) -> Array:
+    """Scale and misalignment of the gyros, (3, 3); draws nothing where both are zero."""
+    scale, angle = settings.gyro_scale_percent / 100.0, math.radians(settings.gyro_misalignment_deg)
+    if scale == 0.0 and angle == 0.0:
+        return np.zeros((3, 3))
+    return np.where(np.eye(3, dtype=bool), scale, angle) * rng.normal(size=(3, 3))
 
 
 def simulate_triggers(

@@ -79,6 +79,9 @@ class FlightSettings:
         ``"coloured"``: white plus Gauss-Markov; ``"white"``: white with `gnss_cep` only.
     gnss_white, gnss_markov, gnss_tau, gnss_cep, gnss_velocity
         Per axis m, m, s; circular error probable in m; m/s.
+    gyro_scale_percent, gyro_misalignment_deg
+        One sigma of each gyro's scale, and of each of the six angles between the axes of gyros
+        and accelerometers, which are what "body" means.
     tag_position
         Position in the tag: ``"last_fix"`` (up to one fix old) or ``"at_exposure"``.
     attitude_tag
@@ -117,6 +120,8 @@ class FlightSettings:
     gyro_walk_deg_rt_h: float = 0.3
     accel_bias: float = 0.030
     accel_walk_rt_h: float = 0.1
+    gyro_scale_percent: float = 0.0
+    gyro_misalignment_deg: float = 0.0
 
     lever_arm_camera: VectorOf3 = (0.15, 0.02, 0.08)
     lever_arm_antenna: VectorOf3 = (-0.25, 0.0, -0.12)

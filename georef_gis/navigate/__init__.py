@@ -1,0 +1,1 @@
+"""Where the camera was and how it was turned: filters, smoothers, clocks, comparisons."""

@@ -1,0 +1,333 @@
+"""From an IMU and a GNSS log to a smoothed trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from georef_gis.errors import NavigationError
+from georef_gis.frames import Array
+from georef_gis.model.logs import AidLog, ImuLog
+from georef_gis.navigate.alignment import (
+    FARTHEST_BACK,
+    SIGMA_ANY,
+    Alignment,
+    align,
+    carried_back,
+)
+from georef_gis.navigate.gnss_noise import Fixes
+from georef_gis.navigate.inertial import BASIC, SCALE, nav_of
+from georef_gis.navigate.kalman import run_filter
+from georef_gis.navigate.settings import NavigationSettings
+from georef_gis.navigate.smoother import run_smoother
+from georef_gis.navigate.trajectory import InertialTrajectory
+
+# s; how much of the log the first attitude is refined on
+FIRST_STRETCH = 60.0
+# m/s2 and rad/s, one sigma of what a vehicle may do unseen in a gap of the IMU
+GAP_FORCE = 3.0
+GAP_RATE = 0.2
+# s; steps of the IMU longer than this, and than three usual ones, are gaps
+SHORT_GAP = 0.05
+AID_COLUMNS = {"heading": 0, "baro_height": 1, "airspeed": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Layout:
+    """Where the states lie, their prior variances, noise densities and correlation times."""
+
+    prior: Array
+    density: Array
+    tau: Array
+    slow: int
+    baro: int
+    wind: int
+
+    @property
+    def kept(self) -> int:
+        """States behind the nine that the mechanisation needs."""
+        return SCALE + 6 if len(self.prior) >= BASIC + SCALE and self.scaled else 6
+
+    @property
+    def scaled(self) -> bool:
+        """Whether scale and misalignment are among the states."""
+        first = min(c for c in (self.slow, self.baro, self.wind, len(self.prior)) if c > 0)
+        return first >= BASIC + SCALE
+
+
+def _layout(settings: NavigationSettings, slow: Array, aids: Sequence[AidLog]) -> _Layout:
+    noise = settings.imu
+    kinds = {aid.kind for aid in aids}
+    prior = [*[0.0] * 9, *[noise.gyro_bias**2] * 3, *[noise.accel_bias**2] * 3]
+    density = [*[0.0] * 3, *[noise.accel_walk**2] * 3, *[noise.gyro_walk**2] * 3]
+    density += [*[noise.gyro_bias_walk**2] * 3, *[noise.accel_bias_walk**2] * 3]
+    tau = [0.0] * BASIC
+    if noise.scaled:
+        prior += [noise.scale**2 if i % 4 == 0 else noise.misalignment**2 for i in range(SCALE)]
+        density += [0.0] * SCALE
+        tau += [0.0] * SCALE
+    columns = {}
+    wanted = {
+        "slow": (slow**2, settings.slow_tau, bool(np.any(slow > 0.0))),
+        "baro": (np.full(1, settings.baro_sigma**2), settings.baro_tau, "baro_height" in kinds),
+        "wind": (np.full(2, settings.wind_sigma**2), settings.wind_tau, "airspeed" in kinds),
+    }
+    for name, (variance, correlation, used) in wanted.items():
+        columns[name] = len(prior) if used else 0
+        if used:
+            prior += list(variance)
+            density += list(variance)
+            tau += [correlation] * len(variance)
+    return _Layout(prior=np.array(prior), density=np.array(density), tau=np.array(tau), **columns)
+
+
+def imu_table(imu: ImuLog) -> Array:
+    """Samples as the compiled code takes them, (n, 7)."""
+    return np.ascontiguousarray(np.column_stack([imu.time, imu.gyro, imu.accel]))
+
+
+def plan_nodes(imu: Array, fixes: Fixes, start: float, gap: float) -> tuple[Array, Array]:
+    """Times of the nodes and the fix at each, -1 for none.
+
+    Every fix within the IMU's span is a node; between, no step is longer than `gap`.
+    """
+    end = float(imu[-1, 0])
+    chosen = np.flatnonzero((fixes.time >= start) & (fixes.time <= end))
+    times = fixes.time[chosen]
+    # two fixes at one instant would make a step of no length
+    single = np.concatenate([[True], np.diff(times) > 1e-4]) if len(times) else np.array([], bool)
+    chosen, times = chosen[single], times[single]
+    edges = np.concatenate([[start], times, [end]])
+    parts, fix = [], []
+    for i in range(len(edges) - 1):
+        count = max(1, math.ceil((edges[i + 1] - edges[i]) / gap - 1e-6))
+        if edges[i + 1] - edges[i] < 1e-6:
+            continue
+        parts.append(edges[i] + (edges[i + 1] - edges[i]) * np.arange(count) / count)
+        fix += [-1] * count
+    nodes = np.concatenate([*parts, [end]])
+    fix.append(-1)
+    found = np.array(fix, dtype=np.int64)
+    found[np.searchsorted(nodes, times - 1e-7)] = chosen
+    return nodes, found
+
+
+def _gaps(imu: Array, nodes: Array) -> tuple[Array, Array]:
+    """Variance that gaps of the IMU let in at nodes (m, 3), and the gaps themselves (g, 2)."""
+    step = np.diff(imu[:, 0])
+    usual = float(np.median(step))
+    long = np.flatnonzero(step > max(SHORT_GAP, 3.0 * usual))
+    jump = np.zeros((len(nodes), 3))
+    for i in long:
+        width = step[i] - usual
+        m = min(int(np.searchsorted(nodes, imu[i + 1, 0])), len(nodes) - 1)
+        force, rate = GAP_FORCE * width, GAP_RATE * width
+        jump[m] += [(force * width / 2) ** 2, force**2, rate**2]
+    return jump, np.column_stack([imu[long, 0], imu[long + 1, 0]])
+
+
+def _aid_table(nodes: Array, aids: Sequence[AidLog]) -> Array:
+    """Values and sigmas of the aids at nodes, (m, 3, 2); at most two a second."""
+    out = np.full((len(nodes), 3, 2), np.nan)
+    for aid in aids:
+        if aid.kind not in AID_COLUMNS or len(aid) == 0:
+            continue
+        column = AID_COLUMNS[aid.kind]
+        default = {"heading": math.radians(10.0), "baro_height": 2.0, "airspeed": 2.0}[aid.kind]
+        last = -math.inf
+        near = np.clip(np.searchsorted(aid.time, nodes), 0, len(aid) - 1)
+        for m, i in enumerate(near):
+            if nodes[m] - last < 0.5 or abs(aid.time[i] - nodes[m]) > 0.15:
+                continue
+            value = float(aid.value[i])
+            sigma = float(aid.sigma[i]) if np.isfinite(aid.sigma[i]) else default
+            if math.isfinite(value):
+                out[m, column] = value, sigma
+                last = nodes[m]
+    return out
+
+
+def _prior(layout: _Layout, fixes: Fixes, start: float, aligned: Alignment, R: Array) -> tuple[
+    Array, Array, Array
+]:  # fmt: skip
+    """State and covariance at the start, before any fix is used."""
+    i = int(np.argmin(np.abs(fixes.time - start)))
+    away = abs(float(fixes.time[i]) - start)
+    has_v = np.isfinite(fixes.v[i]).all() and away < 2.0
+    v = fixes.v[i] if has_v else _difference_velocity(fixes, i)
+    P = np.diag(layout.prior)
+    spread = 10.0 + 3.0 * float(np.sqrt(np.max(fixes.R_p[i].diagonal()))) + 30.0 * away
+    sigma_v = 2.0 + 3.0 * float(np.sqrt(np.max(fixes.R_v[i].diagonal()))) if has_v else 10.0
+    drift = layout.prior[9] ** 0.5 * abs(aligned.time - start)
+    P[:3, :3] = spread**2 * np.eye(3)
+    P[3:6, 3:6] = min(sigma_v + 5.0 * away, 40.0) ** 2 * np.eye(3)
+    P[6:8, 6:8] = (aligned.sigma_level + drift) ** 2 * np.eye(2)
+    P[8, 8] = min(aligned.sigma_heading + drift, SIGMA_ANY) ** 2
+    return nav_of(fixes.p_geo[i], v, R), np.zeros(len(layout.prior) - 9), P
+
+
+def _difference_velocity(fixes: Fixes, i: int) -> Array:
+    j, k = max(i - 1, 0), min(i + 1, len(fixes) - 1)
+    dt = max(float(fixes.time[k] - fixes.time[j]), 0.1)
+    lat, h = fixes.p_geo[i, 0], fixes.p_geo[i, 2]
+    scale = np.array([6.371e6 + h, (6.371e6 + h) * math.cos(lat), -1.0])
+    return np.asarray((fixes.p_geo[k] - fixes.p_geo[j]) * scale / dt)
+
+
+def _pass(
+    imu: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings,
+    prior: tuple[Array, Array, Array], nodes: tuple[Array, Array], aids: Sequence[AidLog],
+) -> tuple[tuple[Array, ...], Array, Array, Array]:  # fmt: skip
+    """One filter pass: what it left, innovations, jumps and gaps."""
+    times, fix = nodes
+    m, size = len(times), len(layout.prior) - 9
+    jump, gaps = _gaps(imu, times)
+    n = 9 + size
+    out = (
+        np.empty((m, 15)), np.empty((m, size)), np.empty((m, 15)), np.empty((m, size)),
+        np.empty((m, n * (n + 1) // 2)), np.zeros((m, 9, 3 + layout.kept)),
+    )  # fmt: skip
+    chi = np.full((m, 4), np.nan)
+    gates = np.array([
+        chi2.ppf(1.0 - settings.gate, 3), chi2.ppf(1.0 - settings.gate, 1), settings.reacquire,
+    ])  # fmt: skip
+    reached = run_filter(
+        imu, times, jump, fix, np.array([layout.slow, layout.baro, layout.wind, 0]),
+        np.stack([layout.density, layout.tau]), (np.stack([fixes.p_geo, fixes.v]), np.stack([fixes.R_p, fixes.R_v])),
+        _aid_table(times, aids), np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
+        gates, prior[0].copy(), prior[1].copy(), prior[2].copy(), out, chi,
+    )  # fmt: skip
+    if reached < m:
+        raise NavigationError(
+            f"the filter lost the vehicle {times[reached] - times[0]:.1f} s after the start; check "
+            "the axes and units of the IMU log and its clock against the GNSS log"
+        )
+    return out, chi, jump, gaps
+
+
+def smooth_flight(
+    imu: ImuLog,
+    fixes: Fixes,
+    settings: NavigationSettings | None = None,
+    aids: Sequence[AidLog] = (),
+    *,
+    aligned: Alignment | None = None,
+) -> InertialTrajectory:
+    """Filter and smooth a flight.
+
+    Parameters
+    ----------
+    imu
+        Cleaned: increasing finite times.
+    fixes
+        See `gnss_noise.prepare_fixes`.
+    aids
+        Headings, barometric heights (of any zero), airspeeds.
+    aligned
+        First attitude where it is known; else it is found.
+
+    Raises
+    ------
+    NavigationError
+        If the logs do not overlap, or the filter diverges.
+    """
+    settings = NavigationSettings() if settings is None else settings
+    table = imu_table(imu)
+    _check_overlap(table, fixes, imu.source)
+    layout = _layout(settings, fixes.slow, aids)
+    aligned = align(table, fixes) if aligned is None else aligned
+    refined, bias = _refined(table, fixes, layout, settings, aligned)
+    first = max(float(table[0, 0]), float(fixes.time[0]), refined.time - FARTHEST_BACK)
+    start = min(first, refined.time)
+    R = carried_back(table, refined, bias, start)
+    nodes = plan_nodes(table, fixes, start, settings.node_gap)
+    nodes = _until_last_fix(nodes, fixes)
+    prior = _prior(layout, fixes, start, refined, R)
+    passed, chi, jump, gaps = _pass(table, fixes, layout, settings, prior, nodes, aids)
+    model = np.stack([layout.density, layout.tau])
+    m, size = len(nodes[0]), len(layout.prior) - 9
+    nav, x = np.empty((m, 15)), np.empty((m, size))
+    smoothed = np.empty_like(passed[4])
+    run_smoother(nodes[0], jump, model, passed, nav, x, smoothed)
+    return InertialTrajectory(
+        imu=table, nodes=nodes[0], nav=nav, x=x, post_nav=passed[2], post_x=passed[3],
+        filtered=passed[4], smoothed=smoothed, transitions=passed[5], jump=jump, model=model,
+        chi=chi, gaps=gaps[(gaps[:, 1] - gaps[:, 0]) > settings.imu_gap],
+        notes=(f"first attitude: {aligned.method}",),
+        doubts=_doubts(chi, nodes[0], refined, first - float(table[0, 0])),
+    )  # fmt: skip
+
+
+def _check_overlap(table: Array, fixes: Fixes, source: str) -> None:
+    first, last = max(table[0, 0], fixes.time[0]), min(table[-1, 0], fixes.time[-1])
+    if last - first < 2.0:
+        raise NavigationError(
+            f"{source}: the IMU log ({table[0, 0]:.1f} to {table[-1, 0]:.1f} s) and the GNSS log "
+            f"({fixes.time[0]:.1f} to {fixes.time[-1]:.1f} s) do not overlap; check the weeks and "
+            "time scales of both"
+        )
+
+
+def _until_last_fix(nodes: tuple[Array, Array], fixes: Fixes) -> tuple[Array, Array]:
+    """Nodes up to two seconds behind the last fix: then inertial navigation drifts unseen."""
+    keep = nodes[0] <= fixes.time[-1] + 2.0
+    return nodes[0][keep], nodes[1][keep]
+
+
+def _refined(
+    table: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings, aligned: Alignment
+) -> tuple[Alignment, Array]:
+    """Smooth the first stretch behind the alignment, for a better attitude to start from."""
+    start = max(aligned.time, float(fixes.time[0]))
+    nodes, fix = plan_nodes(table, fixes, start, settings.node_gap)
+    keep = nodes <= start + FIRST_STRETCH
+    if np.count_nonzero(keep) < 3 or aligned.sigma_heading >= SIGMA_ANY:
+        return aligned, np.zeros(3)
+    prior = _prior(layout, fixes, start, aligned, aligned.R_ned_from_body)
+    passed, _, jump, _ = _pass(table, fixes, layout, settings, prior, (nodes[keep], fix[keep]), ())
+    m, size = int(np.count_nonzero(keep)), len(layout.prior) - 9
+    nav, x, packed = np.empty((m, 15)), np.empty((m, size)), np.empty_like(passed[4])
+    model = np.stack([layout.density, layout.tau])
+    run_smoother(nodes[keep], jump, model, passed, nav, x, packed)
+    better = replace(
+        aligned,
+        time=start,
+        R_ned_from_body=nav[0, 6:].reshape(3, 3).copy(),
+        # wide enough to count the first stretch only once
+        sigma_heading=max(aligned.sigma_heading, math.radians(5.0)),
+    )
+    return better, x[0, :3].copy()
+
+
+def _doubts(chi: Array, nodes: Array, aligned: Alignment, unused: float) -> tuple[str, ...]:
+    out = []
+    for column, name in ((0, "positions"), (1, "velocities")):
+        refused = int(np.count_nonzero(chi[:, column] < 0.0))
+        total = int(np.count_nonzero(np.isfinite(chi[:, column])))
+        if refused > max(3, 0.005 * total):
+            worst = float(nodes[int(np.nanargmin(chi[:, column]))] - nodes[0])
+            out.append(
+                f"{refused} of {total} GNSS {name} were refused as outliers, the worst {worst:.1f} "
+                "s after the start"
+            )
+    if aligned.sigma_heading >= SIGMA_ANY:
+        out.append("the heading is not known: the vehicle never sped up or turned")
+    if unused > 1.0:
+        out.append(f"the first {unused:.0f} s of the IMU log are not used")
+    return tuple(out)
+
+
+def innovation_score(trajectory: InertialTrajectory) -> Mapping[str, float]:
+    """Mean normalised innovations squared per degree of freedom, and shares refused."""
+    chi = trajectory.chi
+    out: dict[str, float] = {}
+    for column, name in ((0, "position"), (1, "velocity")):
+        seen = chi[np.isfinite(chi[:, column]), column]
+        if len(seen):
+            out[f"nis_{name}"] = float(np.median(np.abs(seen))) / float(chi2.ppf(0.5, 3))
+            out[f"refused_{name}"] = float(np.mean(seen < 0.0))
+    return out
