@@ -26,7 +26,10 @@ STRIDE = 5.0
 # s; shortest interval whose change of velocity is taken
 INTERVAL = 0.45
 # rad; a heading this good needs no better window
-GOOD_HEADING = math.radians(2.0)
+GOOD_HEADING = math.radians(2.5)
+# windows between two that share no time, and rad by which their headings may differ
+APART = round(WINDOW / STRIDE)
+AGREEMENT = math.radians(8.0)
 # rad; a worse one is taken from the course
 POOR_HEADING = math.radians(12.0)
 # rad, one sigma of a course taken for a heading
@@ -159,28 +162,35 @@ def _best_window(
     g = gravity(float(fixes.p_geo[0, 0]), float(fixes.p_geo[0, 2]))
     seen = np.diff(v, axis=0) - np.array([0.0, 0.0, g]) * dt[:, None]
     whole = dt < 5.0
-    best: tuple[float, Alignment] | None = None
+    found: list[tuple[float, int, Array]] = []
     for start in np.arange(edges[0], max(edges[-1] - WINDOW, edges[0]) + 1e-9, STRIDE):
         chosen = np.flatnonzero((edges[:-1] >= start) & (edges[1:] <= start + WINDOW) & whole)
         if len(chosen) < 3:
             continue
         C, heading = _wahba(seen[chosen], felt[chosen], sigma, dt[chosen])
-        score = heading
-        if best is None or score < best[0]:
-            first = chosen[0]
-            best = (
-                score,
-                Alignment(
-                    time=float(edges[first]),
-                    R_ned_from_body=C @ R_start[first],
-                    sigma_level=SIGMA_LEVEL,
-                    sigma_heading=heading,
-                    method="felt force against change of velocity",
-                ),
-            )
-        if score < GOOD_HEADING:
+        found.append((heading, int(chosen[0]), C))
+        if len(found) > APART and _agree(found[-1 - APART], found[-1]):
             break
-    return None if best is None else best[1]
+    if not found:
+        return None
+    # all are attitudes of one frame that the gyro carries along: two that agree are believed
+    best = -1 - APART if len(found) > APART and _agree(found[-1 - APART], found[-1]) else None
+    heading, first, C = found[best] if best is not None else min(found, key=lambda f: f[0])
+    return Alignment(
+        time=float(edges[first]),
+        R_ned_from_body=C @ R_start[first],
+        sigma_level=SIGMA_LEVEL,
+        sigma_heading=heading,
+        method="felt force against change of velocity",
+    )
+
+
+def _agree(one: tuple[float, int, Array], other: tuple[float, int, Array]) -> bool:
+    """Whether two windows that share no time give good headings that agree."""
+    if max(one[0], other[0]) > GOOD_HEADING:
+        return False
+    D = one[2] @ other[2].T
+    return abs(math.atan2(D[1, 0], D[0, 0])) < AGREEMENT
 
 
 def _wahba(seen: Array, felt: Array, sigma: float, dt: Array) -> tuple[Array, float]:

@@ -30,6 +30,8 @@ WHITE_SHARE = 1.0 / 3.0
 FEWEST_STEPS = 20
 # s; over longer steps the vehicle's own turns hide the scatter
 LONGEST_STEP = 1.05
+# of a stated sigma; less scatter is the receiver's own smoothing, not its accuracy
+LEAST_WHITE = 0.25
 # a measured scatter of this share of the stated sigma is all of it
 ALL_WHITE = 0.85
 
@@ -150,6 +152,7 @@ def _split(stated: Array, white: Array | None, slow: float | None) -> tuple[Arra
     usual = np.sqrt(np.median(np.einsum("nii->ni", stated), axis=0))
     if white is None:
         white = usual * (1.0 if slow == 0.0 else WHITE_SHARE)
+    white = np.maximum(white, LEAST_WHITE * usual)
     share = white / usual
     if slow is not None:
         return stated * np.outer(share, share), np.full(3, slow)

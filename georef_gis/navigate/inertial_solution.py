@@ -28,6 +28,12 @@ from georef_gis.navigate.trajectory import InertialTrajectory
 
 # s; how much of the log the first attitude is refined on
 FIRST_STRETCH = 60.0
+# rad, one sigma of a first heading: wide enough to count the first stretch only once
+START_HEADING = math.radians(5.0)
+# times the first stretch is smoothed at most
+ROUNDS = 3
+# a probability that refuses only what is absurd, until the filter has settled
+OPEN_GATE = 1e-12
 # m/s2 and rad/s, one sigma of what a vehicle may do unseen in a gap of the IMU
 GAP_FORCE = 3.0
 GAP_RATE = 0.2
@@ -197,7 +203,8 @@ def _pass(
     ])  # fmt: skip
     reached = run_filter(
         imu, times, jump, fix, np.array([layout.slow, layout.baro, layout.wind, 0]),
-        np.stack([layout.density, layout.tau]), (np.stack([fixes.p_geo, fixes.v]), np.stack([fixes.R_p, fixes.R_v])),
+        np.stack([layout.density, layout.tau]),
+        (np.stack([fixes.p_geo, fixes.v]), np.stack([fixes.R_p, fixes.R_v])),
         _aid_table(times, aids), np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
         gates, prior[0].copy(), prior[1].copy(), prior[2].copy(), out, chi,
     )  # fmt: skip
@@ -240,13 +247,11 @@ def smooth_flight(
     _check_overlap(table, fixes, imu.source)
     layout = _layout(settings, fixes.slow, aids)
     aligned = align(table, fixes) if aligned is None else aligned
-    refined, bias = _refined(table, fixes, layout, settings, aligned)
-    first = max(float(table[0, 0]), float(fixes.time[0]), refined.time - FARTHEST_BACK)
-    start = min(first, refined.time)
-    R = carried_back(table, refined, bias, start)
+    refined = _refined(table, fixes, layout, settings, aligned)
+    start = max(float(table[0, 0]), float(fixes.time[0]), refined.time)
     nodes = plan_nodes(table, fixes, start, settings.node_gap)
     nodes = _until_last_fix(nodes, fixes)
-    prior = _prior(layout, fixes, start, refined, R)
+    prior = _prior(layout, fixes, start, refined, refined.R_ned_from_body)
     passed, chi, jump, gaps = _pass(table, fixes, layout, settings, prior, nodes, aids)
     model = np.stack([layout.density, layout.tau])
     m, size = len(nodes[0]), len(layout.prior) - 9
@@ -258,7 +263,7 @@ def smooth_flight(
         filtered=passed[4], smoothed=smoothed, transitions=passed[5], jump=jump, model=model,
         chi=chi, gaps=gaps[(gaps[:, 1] - gaps[:, 0]) > settings.imu_gap],
         notes=(f"first attitude: {aligned.method}",),
-        doubts=_doubts(chi, nodes[0], refined, first - float(table[0, 0])),
+        doubts=_doubts(chi, nodes[0], refined, start - float(table[0, 0])),
     )  # fmt: skip
 
 
@@ -280,27 +285,60 @@ def _until_last_fix(nodes: tuple[Array, Array], fixes: Fixes) -> tuple[Array, Ar
 
 def _refined(
     table: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings, aligned: Alignment
-) -> tuple[Alignment, Array]:
-    """Smooth the first stretch behind the alignment, for a better attitude to start from."""
+) -> Alignment:
+    """Attitude at the start of the navigated part, as good as the first stretch allows.
+
+    The stretch behind the alignment is smoothed, what it tells is carried back to the start by the
+    gyro, and the stretch from there is smoothed until its first heading stays: minutes of waiting
+    on the ground and the blow of a launch would else start the filter tens of degrees off.
+    """
+    if aligned.sigma_heading >= SIGMA_ANY:
+        return aligned
+    settings = replace(settings, gate=OPEN_GATE)
+    begin = max(float(table[0, 0]), float(fixes.time[0]), aligned.time - FARTHEST_BACK)
+    end = aligned.time + FIRST_STRETCH
+    wide = max(aligned.sigma_heading, START_HEADING)
     start = max(aligned.time, float(fixes.time[0]))
-    nodes, fix = plan_nodes(table, fixes, start, settings.node_gap)
-    keep = nodes <= start + FIRST_STRETCH
-    if np.count_nonzero(keep) < 3 or aligned.sigma_heading >= SIGMA_ANY:
-        return aligned, np.zeros(3)
-    prior = _prior(layout, fixes, start, aligned, aligned.R_ned_from_body)
-    passed, _, jump, _ = _pass(table, fixes, layout, settings, prior, (nodes[keep], fix[keep]), ())
-    m, size = int(np.count_nonzero(keep)), len(layout.prior) - 9
-    nav, x, packed = np.empty((m, 15)), np.empty((m, size)), np.empty_like(passed[4])
-    model = np.stack([layout.density, layout.tau])
-    run_smoother(nodes[keep], jump, model, passed, nav, x, packed)
+    found = _first_state(table, fixes, layout, settings, aligned, (start, end))
+    if found is None:
+        return aligned
+    better = replace(aligned, time=start, R_ned_from_body=found[0], sigma_heading=wide)
+    if begin >= start:
+        return better
     better = replace(
-        aligned,
-        time=start,
-        R_ned_from_body=nav[0, 6:].reshape(3, 3).copy(),
-        # wide enough to count the first stretch only once
-        sigma_heading=max(aligned.sigma_heading, math.radians(5.0)),
+        better, time=begin, R_ned_from_body=carried_back(table, better, found[1], begin)
     )
-    return better, x[0, :3].copy()
+    for _ in range(ROUNDS):
+        found = _first_state(table, fixes, layout, settings, better, (begin, end))
+        if found is None:
+            break
+        turn = _heading_between(better.R_ned_from_body, found[0])
+        better = replace(better, R_ned_from_body=found[0])
+        if abs(turn) < START_HEADING / 3.0:
+            break
+    return better
+
+
+def _first_state(
+    table: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings,
+    aligned: Alignment, stretch: tuple[float, float],
+) -> tuple[Array, Array] | None:  # fmt: skip
+    """Smoothed attitude and gyro bias at the start of a stretch; None where it is too short."""
+    nodes, fix = plan_nodes(table, fixes, stretch[0], settings.node_gap)
+    keep = nodes <= stretch[1]
+    m, size = int(np.count_nonzero(keep)), len(layout.prior) - 9
+    if m < 3:
+        return None
+    prior = _prior(layout, fixes, stretch[0], aligned, aligned.R_ned_from_body)
+    passed, _, jump, _ = _pass(table, fixes, layout, settings, prior, (nodes[keep], fix[keep]), ())
+    nav, x, packed = np.empty((m, 15)), np.empty((m, size)), np.empty_like(passed[4])
+    run_smoother(nodes[keep], jump, np.stack([layout.density, layout.tau]), passed, nav, x, packed)
+    return nav[0, 6:].reshape(3, 3).copy(), x[0, :3].copy()
+
+
+def _heading_between(R_one: Array, R_other: Array) -> float:
+    D = R_other @ R_one.T
+    return math.atan2(D[1, 0], D[0, 0])
 
 
 def _doubts(chi: Array, nodes: Array, aligned: Alignment, unused: float) -> tuple[str, ...]:
@@ -311,8 +349,8 @@ def _doubts(chi: Array, nodes: Array, aligned: Alignment, unused: float) -> tupl
         if refused > max(3, 0.005 * total):
             worst = float(nodes[int(np.nanargmin(chi[:, column]))] - nodes[0])
             out.append(
-                f"{refused} of {total} GNSS {name} were refused as outliers, the worst {worst:.1f} "
-                "s after the start"
+                f"{refused} of {total} GNSS {name} disagree with the IMU and count less, the worst "
+                f"{worst:.1f} s after the start"
             )
     if aligned.sigma_heading >= SIGMA_ANY:
         out.append("the heading is not known: the vehicle never sped up or turned")
@@ -331,3 +369,31 @@ def innovation_score(trajectory: InertialTrajectory) -> Mapping[str, float]:
             out[f"nis_{name}"] = float(np.median(np.abs(seen))) / float(chi2.ppf(0.5, 3))
             out[f"refused_{name}"] = float(np.mean(seen < 0.0))
     return out
+
+
+def likelihood(
+    table: Array,
+    fixes: Fixes,
+    settings: NavigationSettings,
+    aligned: Alignment,
+    stretch: tuple[float, float],
+) -> float:
+    """Log-likelihood of the fixes of a stretch of the log under settings, of a filter pass.
+
+    Parameters
+    ----------
+    table : shape (n, 7)
+    stretch : s
+        First and last time; the first twenty seconds settle the filter and do not count.
+    """
+    layout = _layout(settings, fixes.slow, ())
+    times, fix = plan_nodes(table, fixes, stretch[0], settings.node_gap)
+    keep = times <= stretch[1]
+    R = carried_back(table, aligned, np.zeros(3), stretch[0])
+    prior = _prior(layout, fixes, stretch[0], aligned, R)
+    try:
+        _, chi, _, _ = _pass(table, fixes, layout, settings, prior, (times[keep], fix[keep]), ())
+    except NavigationError:
+        return -math.inf
+    counted = times[keep] > stretch[0] + 20.0
+    return float(np.nansum(chi[counted, 2]))

@@ -246,7 +246,7 @@ def _gnss_block(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Gated update with a position (`slow` >= 0) or a velocity (`slow` < 0), in place.
 
-    Returns the normalised innovation squared, negative if it was refused; the log-likelihood
+    Returns the normalised innovation squared, negative if it was too large and the fix counted less; the log-likelihood
     without 2 pi; and the variance that was added because nothing had been accepted for too long.
     """
     first, floor = (0, 100.0) if slow >= 0 else (3, 1.0)
@@ -268,10 +268,14 @@ def _gnss_block(
             P[i, i] += added
     # an outlier counts as no more than that, or one would outweigh a flight
     likelihood = -0.5 * min(nis, 30.0) - math.log(L[0, 0] * L[1, 1] * L[2, 2])
+    sign = 1.0
     if nis > gate:
-        return -nis, likelihood, added
+        # as if its noise were so large that it just passes: a pull that fades with its distance,
+        # where a refusal would lock a filter out that has gone astray itself
+        sign = -1.0
+        S *= nis / gate
     _block_update(P, PHt, S, r, nav, x)
-    return nis, likelihood, added
+    return sign * nis, likelihood, added
 
 
 @compiled
@@ -344,7 +348,7 @@ def run_filter(
     out
         prior nav (m, 15), prior x, nav (m, 15), x, packed P, A (m, 9, k): filled.
     chi : shape (m, 4)
-        Normalised innovations squared of position and velocity (negative = refused, NaN = none),
+        Normalised innovations squared of position and velocity (negative = too large, NaN = none),
         log-likelihood, number of degrees of freedom behind it: filled.
 
     Returns

@@ -14,14 +14,14 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuNoise:
-    """Errors of a consumer MEMS unit; the defaults are those of the 2012 paper's class.
+    """Errors of a consumer MEMS unit, as it comes; see `docs/navigation.md`.
 
     Parameters
     ----------
     gyro_walk, accel_walk : rad/s/sqrt(Hz), m/s2/sqrt(Hz)
         White noise: 0.3 deg/sqrt(h) and 0.1 m/s/sqrt(h).
     gyro_bias, accel_bias : rad/s, m/s2
-        Turn-on biases.
+        Turn-on biases: 1000 deg/h and 0.15 m/s2 (15 mg).
     gyro_bias_walk, accel_bias_walk : rad/s/sqrt(s), m/s2/sqrt(s)
         Random walk of the biases.
     scale, misalignment
@@ -31,12 +31,12 @@ class ImuNoise:
 
     gyro_walk: float = math.radians(0.3) / 60.0
     accel_walk: float = 0.1 / 60.0
-    gyro_bias: float = math.radians(100.0) / _HOUR
-    accel_bias: float = 0.03
+    gyro_bias: float = math.radians(1000.0) / _HOUR
+    accel_bias: float = 0.15
     gyro_bias_walk: float = math.radians(5.0) / _HOUR / 60.0
     accel_bias_walk: float = 0.001 / 60.0
-    scale: float = 0.0
-    misalignment: float = 0.0
+    scale: float = 0.005
+    misalignment: float = math.radians(0.3)
 
     @property
     def scaled(self) -> bool:
