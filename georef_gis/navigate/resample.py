@@ -1,0 +1,231 @@
+"""Trajectories of logs, and their values at other times."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.ellipsoid import meridian_radius, prime_vertical_radius
+from georef_gis.errors import CrsError
+from georef_gis.frames import (
+    Array,
+    R_ned_from_body,
+    exp_so3,
+    log_so3,
+    rpy_from_R_ned_from_body,
+)
+from georef_gis.geodesy import HeightKind, geoid_undulation
+from georef_gis.model.logs import (
+    FIX_2D,
+    AttitudeLog,
+    GnssLog,
+    TrajectoryLog,
+    unknown,
+)
+
+# s without rows beyond which nothing is interpolated, where rows are usually denser than that
+LONGEST_GAP = 1.0
+
+
+def ellipsoidal_heights(gnss: GnssLog) -> Array:
+    """Heights of fixes above the ellipsoid, m; by the receiver's own geoid where it states one.
+
+    Raises
+    ------
+    CrsError
+        If the kind of the heights cannot be turned into ellipsoidal ones.
+    """
+    if gnss.height_kind is HeightKind.ELLIPSOIDAL:
+        return gnss.height
+    if gnss.height_kind is not HeightKind.ORTHOMETRIC:
+        raise CrsError(
+            f"{gnss.source or 'gnss'}: heights of kind '{gnss.height_kind}' have no ellipsoidal "
+            "value; state their kind (ellipsoidal or orthometric)",
+            field="height",
+        )
+    known = np.isfinite(gnss.lat) & np.isfinite(gnss.lon)
+    geoid = geoid_undulation(np.where(known, gnss.lat, 0.0), np.where(known, gnss.lon, 0.0))
+    own = np.isfinite(gnss.geoid_separation)
+    return np.asarray(gnss.height + np.where(own, gnss.geoid_separation, geoid))
+
+
+def trajectory_of_gnss(gnss: GnssLog) -> TrajectoryLog:
+    """Fixes with a height as a trajectory of the antenna, without attitude."""
+    covariance = unknown(len(gnss), 6, 6)
+    covariance[:, :3, :3] = gnss.covariance_ned
+    log = TrajectoryLog(
+        time=gnss.time, scale=gnss.scale, source=gnss.source, doubts=gnss.doubts,
+        lat=gnss.lat, lon=gnss.lon, height=ellipsoidal_heights(gnss), v_ned=gnss.v_ned,
+        rpy=unknown(len(gnss), 3), covariance=covariance, position_of="antenna",
+    )  # fmt: skip
+    return rows(log, (gnss.fix > FIX_2D) & np.isfinite(gnss.lat))
+
+
+def trajectory_of_attitude(attitude: AttitudeLog) -> TrajectoryLog:
+    """Attitudes as a trajectory without positions."""
+    n = len(attitude)
+    covariance = unknown(n, 6, 6)
+    covariance[:, 3:, 3:] = covariance_of_rpy(attitude.rpy, attitude.sigma_rpy)
+    return TrajectoryLog(
+        time=attitude.time, scale=attitude.scale, source=attitude.source, doubts=attitude.doubts,
+        lat=unknown(n), lon=unknown(n), height=unknown(n), v_ned=unknown(n, 3),
+        rpy=attitude.rpy, covariance=covariance, position_of="unknown",
+    )  # fmt: skip
+
+
+def with_attitude(log: TrajectoryLog, attitude: TrajectoryLog) -> TrajectoryLog:
+    """A trajectory whose attitude is that of another, interpolated."""
+    other = at_times(attitude, log.time)
+    covariance = log.covariance.copy()
+    covariance[:, 3:, 3:] = other.covariance[:, 3:, 3:]
+    return replace(log, rpy=other.rpy, covariance=covariance)
+
+
+def rows(log: TrajectoryLog, keep: NDArray[np.bool_]) -> TrajectoryLog:
+    """The rows that are to be kept."""
+    if np.all(keep):
+        return log
+    arrays: dict[str, Any] = {
+        item.name: value[keep]
+        for item in fields(log)
+        if isinstance(value := getattr(log, item.name), np.ndarray)
+    }
+    return replace(log, **arrays)
+
+
+def in_order(log: TrajectoryLog) -> TrajectoryLog:
+    """Rows whose time is finite and later than all before."""
+    time = np.where(np.isfinite(log.time), log.time, -np.inf)
+    keep = np.isfinite(log.time)
+    if len(time):
+        keep[1:] &= time[1:] > np.maximum.accumulate(time)[:-1]
+    return rows(log, keep)
+
+
+def at_times(log: TrajectoryLog, time: Array) -> TrajectoryLog:
+    """Values at other times: NaN outside, and within gaps.
+
+    Positions follow cubic Hermite polynomials with the log's velocities (slopes of the positions
+    where it has none), attitudes the shortest turn, the rest straight lines.
+    """
+    if len(time) == len(log) and np.array_equal(time, log.time):
+        return log
+    at = np.clip(np.searchsorted(log.time, time, side="right") - 1, 0, len(log) - 2)
+    step = np.diff(log.time)
+    h = step[at]
+    part = (time - log.time[at]) / h
+    allowed = max(LONGEST_GAP, 2.5 * float(np.median(step)))
+    # A row that is met exactly needs no neighbour, so a gap behind it does not hide it.
+    exact = np.isin(time, log.time)
+    lost = ~exact & ((h > allowed) | (part < 0.0) | (part > 1.0))
+    lost |= exact & ((time < log.time[0]) | (time > log.time[-1]))
+    lat, lon, height = _hermite(log, at, part).T
+    return TrajectoryLog(
+        time=time, scale=log.scale, source=log.source, doubts=log.doubts,
+        lat=_hide(lat, lost), lon=_hide(lon, lost), height=_hide(height, lost),
+        v_ned=_hide(_straight(log.v_ned, at, part), lost),
+        rpy=_hide(_turned(log.rpy, at, part), lost),
+        covariance=_hide(_straight(log.covariance, at, part), lost),
+        position_of=log.position_of,
+    )  # fmt: skip
+
+
+def _hide(values: Array, lost: NDArray[np.bool_]) -> Array:
+    out = np.array(values)
+    out[lost] = np.nan
+    return out
+
+
+def _straight(values: Array, at: NDArray[np.int64], part: Array) -> Array:
+    w = part.reshape(-1, *[1] * (values.ndim - 1))
+    # Where a weight is zero its row must not count: it may be NaN.
+    left = np.where(w < 1.0, values[at], 0.0) * (1.0 - w)
+    return np.asarray(left + np.where(w > 0.0, values[at + 1], 0.0) * w)
+
+
+def _hermite(log: TrajectoryLog, at: NDArray[np.int64], part: Array) -> Array:
+    """Lat, lon rad and height m; shape (n, 3)."""
+    geo = np.stack([log.lat, _unwrapped(log.lon), log.height], axis=-1)
+    slope = _geo_rates(log, geo)
+    h, s = np.diff(log.time)[at][:, None], part[:, None]
+    a, b = geo[at], geo[at + 1]
+    # Around `a`, so that the small differences keep their digits.
+    bend = (
+        s * (1.0 - s) ** 2 * h * slope[at]
+        + s**2 * (s - 1.0) * h * slope[at + 1]
+        + s**2 * (3.0 - 2.0 * s) * (b - a)
+    )
+    out = np.where(s >= 1.0, b, np.where(s <= 0.0, a, a + bend))
+    out[:, 1] = np.mod(out[:, 1] + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(out)
+
+
+def _unwrapped(angle: Array) -> Array:
+    """Angles without steps of a turn; NaN stays NaN."""
+    out = angle.copy()
+    known = np.isfinite(angle)
+    out[known] = np.unwrap(angle[known])
+    return out
+
+
+def _geo_rates(log: TrajectoryLog, geo: Array) -> Array:
+    """Rates of lat, lon rad/s and height m/s; shape (n, 3)."""
+    north, east = metres_per_radian(log.lat, log.height)
+    stated = np.stack([log.v_ned[:, 0] / north, log.v_ned[:, 1] / east, -log.v_ned[:, 2]], axis=-1)
+    if np.all(np.isfinite(stated)):
+        return stated
+    return np.where(np.isfinite(stated), stated, np.gradient(geo, log.time, axis=0))
+
+
+def metres_per_radian(lat: Array, height: Array) -> tuple[Array, Array]:
+    """Length of a radian of latitude and of longitude at a place, m."""
+    north = meridian_radius(lat) + height
+    return north, np.asarray((prime_vertical_radius(lat) + height) * np.cos(lat))
+
+
+def _turned(rpy: Array, at: NDArray[np.int64], part: Array) -> Array:
+    R = R_ned_from_body(*rpy.T)
+    if not np.any(np.isfinite(R)):
+        return np.full((len(at), 3), np.nan)
+    a, b = R[at], R[at + 1]
+    s = part[:, None]
+    turn = log_so3(transposed(a) @ b)
+    out = rpy_from_R_ned_from_body(a @ exp_so3(s * turn))
+    return np.asarray(np.where(s <= 0.0, rpy[at], np.where(s >= 1.0, rpy[at + 1], out)))
+
+
+def transposed(R: Array) -> Array:
+    """Matrices with their last two axes swapped."""
+    return np.swapaxes(R, -1, -2)
+
+
+def jacobians_theta_ned_from_rpy(rpy: Array) -> Array:
+    """`frames.jacobian_theta_ned_from_rpy` of many attitudes; (n, 3) rad -> (n, 3, 3)."""
+    pitch, yaw = rpy[:, 1], rpy[:, 2]
+    J = np.zeros((len(rpy), 3, 3))
+    J[:, 0, 0], J[:, 1, 0] = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
+    J[:, 2, 0] = -np.sin(pitch)
+    J[:, 0, 1], J[:, 1, 1] = -np.sin(yaw), np.cos(yaw)
+    J[:, 2, 2] = 1.0
+    return J
+
+
+def covariance_of_rpy(rpy: Array, sigma_rpy: Array) -> Array:
+    """Covariances of the rotation error in ned of independent sigmas, rad; (n, 3) -> (n, 3, 3)."""
+    J = jacobians_theta_ned_from_rpy(rpy) * sigma_rpy[:, None, :]
+    return np.asarray(J @ transposed(J))
+
+
+def sigma_rpy_of(log: TrajectoryLog) -> Array:
+    """Sigmas of roll, pitch and yaw, rad; shape (n, 3), NaN where unknown or pitch is vertical."""
+    out = unknown(len(log), 3)
+    known = np.all(np.isfinite(log.covariance[:, 3:, 3:]), axis=(1, 2))
+    known &= np.abs(np.cos(log.rpy[:, 1])) > 1e-6
+    if np.any(known):
+        back = np.asarray(np.linalg.inv(jacobians_theta_ned_from_rpy(log.rpy[known])), np.float64)
+        own = back @ log.covariance[known, 3:, 3:] @ transposed(back)
+        out[known] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
+    return out
