@@ -10,6 +10,7 @@ from exports.geojson import GeoJson
 from exports.geopackage import GeoPackage
 from exports.kml import Kml, Kmz
 from exports.poses import OdmGeo, ReferenceCsv
+from exports.tagged_photos import TaggedPhotos
 from georef_gis.toolbox import Exporter
 
 EXPORTERS: tuple[type[Exporter[Any]], ...] = (
@@ -20,4 +21,5 @@ EXPORTERS: tuple[type[Exporter[Any]], ...] = (
     Cog,
     OdmGeo,
     ReferenceCsv,
+    TaggedPhotos,
 )

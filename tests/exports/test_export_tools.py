@@ -194,7 +194,7 @@ def test_full_disk_leaves_nothing_and_says_so(project):
     )
     assert run.returncode == 0, run.stderr
     messages = json.loads(run.stdout.splitlines()[-1])
-    assert len(messages) == 5
+    assert len(messages) == 6
     for name, text in messages.items():
         assert "cannot be written" in text, (name, text)
         assert "\n" not in text
