@@ -1,0 +1,1 @@
+"""Logs of a flight: readers that turn files into `FlightLogs`, and their cleaning."""
