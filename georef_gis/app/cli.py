@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import logging
 import sys
@@ -40,14 +41,14 @@ class Tools(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Names of all commands."""
-        registry = _registry()
-        return [*BUILT_IN, *(registry.command(tool) for tool in registry)]
+        words = [command_words(tool)[0] for tool in _registry()]
+        return list(dict.fromkeys([*BUILT_IN, *words]))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Make the command of a name."""
         if cmd_name in self.commands:
             return self.commands[cmd_name]
-        return tool_command(_registry().find(cmd_name))
+        return group_command(cmd_name) or tool_command(_registry().find(cmd_name))
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run a command; what is wrong with its words is one line, as every error."""
@@ -72,7 +73,7 @@ class Tools(click.Group):
         registry = _registry()
         groups: dict[str, list[tuple[str, str]]] = {}
         for tool in registry:
-            line = (registry.command(tool), tool.algorithm.summary())
+            line = (" ".join(command_words(tool)), tool.algorithm.summary())
             groups.setdefault(tool.algorithm.group, []).append(line)
         for group, lines in groups.items():
             with formatter.section(f"Tools: {group}"):
@@ -164,7 +165,7 @@ def tools(as_json: bool) -> None:
             return
         for tool in registry:
             star = "*" if tool.algorithm.in_run else " "
-            click.echo(f"{star} {registry.command(tool):<24} {tool.algorithm.summary()}")
+            click.echo(f"{star} {' '.join(command_words(tool)):<24} {tool.algorithm.summary()}")
         if registry.refused:
             click.echo(f"{len(registry.refused)} refused; see `georef doctor`", err=True)
 
@@ -190,6 +191,52 @@ def doctor(folder: Path, as_json: bool, verbose: int) -> None:
             sys.exit(USER_ERROR)
 
 
+def command_words(tool: Tool) -> tuple[str, ...]:
+    """Words of a tool's command: one, or a group and a command in it.
+
+    Words that are taken by an earlier tool, and groups named like a tool, are not given again.
+    """
+    registry = _registry()
+    words = tool.algorithm.command
+    taken = {other.algorithm.command for other in _before(registry, tool)}
+    names = {*BUILT_IN, *(registry.command(other) for other in registry)}
+    return (
+        words
+        if words and words not in taken and words[0] not in names
+        else (registry.command(tool),)
+    )
+
+
+def _before(registry: Registry, tool: Tool) -> Iterator[Tool]:
+    """Tools that go before one."""
+    return itertools.takewhile(lambda other: other is not tool, registry)
+
+
+def group_command(name: str) -> click.Group | None:
+    """Make a group of tools, e.g. ``georef sync-board``; None if there is none of that name."""
+    found = {
+        words[1]: tool_command(tool)
+        for tool, words in ((tool, command_words(tool)) for tool in _registry())
+        if len(words) == 2 and words[0] == name
+    }
+    if not found:
+        return None
+
+    def show_help() -> None:
+        context = click.get_current_context()
+        if context.invoked_subcommand is None:
+            click.echo(context.get_help())
+
+    return click.Group(
+        name=name,
+        commands=found,
+        callback=show_help,
+        invoke_without_command=True,
+        help=f"Tools: {', '.join(found)}.",
+        short_help=f"{len(found)} tools",
+    )
+
+
 def tool_command(tool: Tool) -> click.Command:
     """Make the command of a tool from its declaration."""
     specs = tool.algorithm.Parameters.specs()
@@ -212,7 +259,7 @@ def tool_command(tool: Tool) -> click.Command:
         click.Option(["-v", "--verbose", "_verbose"], count=True, help="Say more."),
     ]
     return click.Command(
-        name=_registry().command(tool),
+        name=command_words(tool)[-1],
         params=parameters,
         help=tool.algorithm.help(),
         short_help=tool.algorithm.summary(),

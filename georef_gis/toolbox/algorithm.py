@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar, get_args, get_origin
 
+from georef_gis.errors import PluginError
 from georef_gis.toolbox.context import Context, Feedback
 from georef_gis.toolbox.parameters import Parameters
 
 MANIFEST_VERSION = 1
+# A word of a command, e.g. "sync-board".
+WORD = re.compile(r"^[a-z][a-z0-9]*(-[a-z0-9]+)*$")
 # The order of the groups is the order of the work.
 GROUPS = ("project", "ingest", "navigate", "orient", "rectify", "mosaic", "measure", "export")
 
@@ -66,6 +70,9 @@ class Algorithm(ABC, Generic[P]):
         lower_case, unique within its distribution; ``_`` becomes ``-`` on the command line.
     group
         One of `GROUPS`, or a new one.
+    command
+        Words on the command line, e.g. ``("sync-board", "record")``, for tools that belong to one
+        device; empty = the id.
     needs, gives
         Names of project tables and products, from which `georef run` finds the order.
     in_run
@@ -85,6 +92,7 @@ class Algorithm(ABC, Generic[P]):
     id: ClassVar[str]
     name: ClassVar[str]
     group: ClassVar[str]
+    command: ClassVar[tuple[str, ...]] = ()
     Parameters: ClassVar[type[Parameters]] = Parameters
     outputs: ClassVar[tuple[Output, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
@@ -103,6 +111,10 @@ class Algorithm(ABC, Generic[P]):
             arguments = get_args(base)
             if get_origin(base) is Algorithm and isinstance(arguments[0], type):
                 cls.Parameters = arguments[0]
+        if cls.command and not (len(cls.command) == 2 and all(map(WORD.match, cls.command))):
+            raise PluginError(
+                f"{cls.__name__}.command is {cls.command!r}; give two lower-case words, or none"
+            )
         if "id" in cls.__dict__ and cls.Parameters is not Parameters:
             cls.Parameters.source_name = f"tool {cls.id}"
 
@@ -133,6 +145,7 @@ class Algorithm(ABC, Generic[P]):
             "name": cls.name,
             "group": cls.group,
             "help": cls.help(),
+            **({"command": list(cls.command)} if cls.command else {}),
             "version": cls.version,
             "needs_project": cls.needs_project,
             "in_run": cls.in_run,
