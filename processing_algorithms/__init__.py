@@ -3,9 +3,14 @@
 from processing_algorithms.ingest.check import Check
 from processing_algorithms.ingest.init import Init
 from processing_algorithms.ingest.photos import ReadPhotos
+from processing_algorithms.ingest.sync_board import SYNC_BOARD_TOOLS
 from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.mosaic.mosaic import MosaicTool
+from processing_algorithms.navigate.compare_trajectory import CompareTrajectory
+from processing_algorithms.navigate.navigate import Navigate
+from processing_algorithms.navigate.orient import OrientNavigation
+from processing_algorithms.navigate.ppk import Ppk
 from processing_algorithms.orient.direct import OrientDirect
 from processing_algorithms.rectify.footprints import Footprints
 from processing_algorithms.rectify.orthos import Orthos
@@ -16,7 +21,12 @@ ALGORITHMS = (
     Simulate,
     Check,
     ReadPhotos,
+    *SYNC_BOARD_TOOLS,
+    Ppk,
+    Navigate,
     OrientDirect,
+    OrientNavigation,
+    CompareTrajectory,
     Footprints,
     Orthos,
     MosaicTool,

@@ -17,6 +17,7 @@ from georef_gis.navigate.smoother import chain_at, states_at
 # order of the errors in a chain: position, attitude, then velocity and the rest
 _POSE_FIRST = (0, 1, 2, 6, 7, 8, 3, 4, 5)
 _FORMAT = 1
+KIND = "inertial"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,7 +172,7 @@ class InertialTrajectory:
         words = {"notes": np.array(self.notes, str), "doubts": np.array(self.doubts, str)}
         part = path.with_name(path.name + ".part")
         with part.open("wb") as file:
-            np.savez(file, format=np.array(_FORMAT), **columns, **words)
+            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns, **words)
         part.replace(path)
 
     @classmethod
@@ -188,7 +189,9 @@ class InertialTrajectory:
                 if int(file["format"]) != _FORMAT:
                     raise InputError("is of another version; run `georef navigate` again",
                                      source=str(path))  # fmt: skip
-                columns = {name: file[name] for name in file.files if name != "format"}
+                columns = {
+                    name: file[name] for name in file.files if name not in ("format", "kind")
+                }
         except (OSError, ValueError, KeyError) as error:
             raise InputError(
                 f"is no trajectory ({error}); run `georef navigate` again", source=str(path)

@@ -114,6 +114,15 @@ class MountSection(Section):
     sigma_boresight_deg: float = Field(
         default=1.0, gt=0, description="One sigma of the boresight, deg"
     )
+    looks: Literal["down", "forward"] = Field(
+        default="down", description='Where a fixed camera looks: "down" or "forward"'
+    )
+    image_top: Literal["forward", "right", "back", "left"] = Field(
+        default="forward", description="Where the top of the image of a camera looking down points"
+    )
+    gimbal: bool = Field(
+        default=False, description="A gimbal turns the camera: angles come from the tags"
+    )
 
 
 class GnssSection(Section):
@@ -137,6 +146,13 @@ class GnssSection(Section):
     sigma_v_m: float | None = Field(
         default=None, gt=0, description="One sigma of the height, m; from the tags, else 5"
     )
+    latency_s: float | None = Field(
+        default=None, description="By how much the fixes of the log are stamped late, s; else found"
+    )
+    slow_sigma_m: float | None = Field(
+        default=None, ge=0, description="Slow error of the log's fixes per axis, m; else found"
+    )
+    slow_tau_s: float = Field(default=100.0, gt=0, description="Correlation time of that error, s")
 
 
 class AttitudeSection(Section):
@@ -203,11 +219,59 @@ class ControlSection(Section):
 
 
 class LogsSection(Section):
-    """Logs of the flight; named here for the navigation, which does not read them yet."""
+    """Logs of the flight; formats and columns are told in docs/logs.md."""
 
-    imu: Path | None = Field(default=None, description="IMU log (imu.csv)")
-    gnss: Path | None = Field(default=None, description="GNSS log (gnss.csv)")
-    sync: Path | None = Field(default=None, description="Sync-board log")
+    imu: Path | None = Field(default=None, description="IMU log")
+    gnss: Path | None = Field(default=None, description="GNSS log, or PPK positions (.pos)")
+    attitude: Path | None = Field(default=None, description="Attitude of an autopilot")
+    sync: Path | None = Field(default=None, description="Sync-board log, or other exposure events")
+    trajectory: Path | None = Field(
+        default=None, description="Finished trajectory, such as an SBET, in place of the logs"
+    )
+    files: tuple[Path, ...] = Field(
+        default=(), description="Logs that hold several of these, such as .ulg or .BIN"
+    )
+    columns: dict[str, Any] = Field(
+        default_factory=dict,
+        description='Columns that headers do not tell, such as {gyro_x = "GyroX:deg/s"}',
+    )
+    filter: Literal["auto", "inertial", "ekf9", "gnss"] = Field(
+        default="auto",
+        description='"auto", "inertial" (15 states and more), "ekf9" (the 2009 report\'s), '
+        '"gnss" (no IMU)',
+    )
+    camera_clock_offset_s: float | None = Field(
+        default=None, description="Camera clock minus GPS time, s, where it is known"
+    )
+    sigma_camera_clock_s: float = Field(
+        default=30.0, gt=0, description="One sigma of camera_clock_offset_s, s"
+    )
+    shutter_lag_s: float = Field(
+        default=0.0, description="Exposure after the noted event, s; negative = before"
+    )
+
+
+class ImuSection(Section):
+    """Errors of the IMU as its maker states them; with `tune` the log corrects the noise."""
+
+    gyro_noise_deg_rt_h: float = Field(
+        default=0.3, gt=0, description="Angular random walk, deg per root hour"
+    )
+    accel_noise_m_s_rt_h: float = Field(
+        default=0.1, gt=0, description="Velocity random walk, m/s per root hour"
+    )
+    gyro_bias_deg_h: float = Field(default=1000.0, gt=0, description="One sigma of a bias, deg/h")
+    accel_bias_m_s2: float = Field(default=0.15, gt=0, description="One sigma of a bias, m/s2")
+    gyro_scale_percent: float = Field(
+        default=0.5, ge=0, description="One sigma of a gyro's scale, %; 0 = not estimated"
+    )
+    gyro_misalignment_deg: float = Field(
+        default=0.3, ge=0, description="One sigma of a gyro's axis, deg; 0 = not estimated"
+    )
+    tune: bool = Field(default=True, description="Find the noise in the log itself")
+    use: tuple[Literal["baro_height", "airspeed", "heading", "magnetic_field"], ...] = Field(
+        default=(), description='Aids to use where logged, such as ["baro_height", "airspeed"]'
+    )
 
 
 class ProductsSection(Section):
@@ -242,6 +306,7 @@ class Settings(Section):
     poses: PosesSection = PosesSection()
     control: ControlSection = ControlSection()
     logs: LogsSection = LogsSection()
+    imu: ImuSection = ImuSection()
     products: ProductsSection = ProductsSection()
     tools: dict[str, dict[str, Any]] = Field(default_factory=dict)
 

@@ -1,0 +1,150 @@
+"""Poses of the camera at the exposures, from the trajectory, the mount and the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from georef_gis.ellipsoid import Origin
+from georef_gis.frames import Array, R_enu_from_ned, skew
+from georef_gis.model.pose import Mount, Pose
+from georef_gis.model.trajectory import StateChain, Trajectory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ExposurePoses:
+    """Camera poses in order of time, and how their errors hang together.
+
+    Parameters
+    ----------
+    ids
+        Photos.
+    poses
+        In enu, kind "navigation".
+    chain
+        Errors of the trajectory at the exposures.
+    to_pose : shape (n, 6, 6)
+        Error of the camera's pose (dp_enu, dtheta_enu) by the trajectory's (dp_ned, dtheta_ned).
+    mount : shape (n, 6, 9)
+        By what all photos of a flight share: camera's lever arm (body, m), boresight (body, rad),
+        datum (enu, m).
+    mount_covariance : shape (9, 9)
+    own : shape (n, 6, 6)
+        Covariance of what is each photo's own: its time.
+    """
+
+    ids: tuple[str, ...]
+    poses: tuple[Pose, ...]
+    chain: StateChain
+    to_pose: Array
+    mount: Array
+    mount_covariance: Array
+    own: Array
+
+    def joint(self, indices: Sequence[int] | None = None) -> Array:
+        """Joint covariance of the poses of some or all photos, (6 k, 6 k)."""
+        chosen = np.arange(len(self.ids)) if indices is None else np.asarray(indices, dtype=int)
+        k = len(chosen)
+        nav = self.chain.joint(chosen).reshape(k, 6, k, 6)
+        L, M = self.to_pose[chosen], self.mount[chosen]
+        out = np.einsum("aij,ajbk,blk->aibl", L, nav, L)
+        out += np.einsum("aij,jk,blk->aibl", M, self.mount_covariance, M)
+        for a, i in enumerate(chosen):
+            out[a, :, a, :] += self.own[i]
+        return np.asarray(out.reshape(6 * k, 6 * k))
+
+    def save(self, path: Path) -> None:
+        """Write all but the poses, which stand in the database, whole or not at all."""
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            np.savez(
+                file, ids=np.array(self.ids, str), time=self.chain.time,
+                covariance=self.chain.covariance, gain=self.chain.gain, to_pose=self.to_pose,
+                mount=self.mount, mount_covariance=self.mount_covariance, own=self.own,
+            )  # fmt: skip
+        part.replace(path)
+
+
+def exposure_poses(
+    trajectory: Trajectory,
+    ids: Sequence[str],
+    times: Array,
+    variance_of_time: Array,
+    mount: Mount,
+    origin: Origin,
+    *,
+    sigma_datum: float = 0.0,
+    held: Sequence[Pose | None] | None = None,
+) -> ExposurePoses:
+    """Poses of the camera.
+
+    Parameters
+    ----------
+    ids, times : s
+        In order of time; all within the trajectory.
+    variance_of_time : shape (n,), s^2
+    sigma_datum : m
+        Of east and north, the same for all.
+    held
+        Poses whose rotation is that of a camera in a gimbal; None = the mount's.
+
+    Raises
+    ------
+    NavigationError
+        If a time lies outside of the trajectory.
+    """
+    chain = trajectory.chain(times)
+    states = trajectory.at(times)
+    n = len(ids)
+    L, M, own = np.zeros((n, 6, 6)), np.zeros((n, 6, 9)), np.zeros((n, 6, 6))
+    poses = []
+    shared = np.diag([
+        *[mount.sigma_lever_arm**2] * 3, *[mount.sigma_boresight**2] * 3, *[sigma_datum**2] * 2, 0.0
+    ])  # fmt: skip
+    arm = mount.lever_arm_body_camera
+    p_imu = origin.enu_from_geo(states.p_geo)
+    for i in range(n):
+        lat, lon = states.p_geo[i, :2]
+        R_en = R_enu_from_ned(origin.lat, origin.lon, float(lat), float(lon))
+        R_eb = R_en @ states.R_ned_from_body[i]
+        tagged = None if held is None else held[i]
+        a = R_eb @ arm
+        rate = R_eb @ states.rate_body[i]
+        velocity = R_en @ states.v_ned[i] + np.cross(rate, a)
+        L[i, :3, :3] = R_en
+        # an attitude error swings the camera round the IMU
+        L[i, :3, 3:] = -skew(a) @ R_en
+        M[i, :3, :3] = R_eb
+        M[i, :3, 6:9] = np.eye(3)
+        if tagged is None:
+            L[i, 3:, 3:] = R_en
+            M[i, 3:, 3:6] = R_eb
+        moved = np.concatenate([velocity, rate if tagged is None else np.zeros(3)])
+        own[i] = variance_of_time[i] * np.outer(moved, moved)
+        R_ec = R_eb @ mount.R_body_from_cam
+        if tagged is not None:
+            own[i, 3:, 3:] += tagged.covariance[3:, 3:]
+            R_ec = tagged.R_enu_from_cam
+        covariance = L[i] @ chain.covariance[i][:6, :6] @ L[i].T + M[i] @ shared @ M[i].T + own[i]
+        poses.append(
+            Pose(
+                origin_enu=p_imu[i] + a,
+                R_enu_from_cam=_orthonormal(R_ec),
+                covariance=0.5 * (covariance + covariance.T),
+                kind="navigation",
+                velocity_enu=velocity,
+                rate_enu=rate if tagged is None else None,
+            )
+        )
+    return ExposurePoses(
+        ids=tuple(ids), poses=tuple(poses), chain=chain, to_pose=L, mount=M,
+        mount_covariance=shared, own=own,
+    )  # fmt: skip
+
+
+def _orthonormal(R: Array) -> Array:
+    u, _, vt = np.linalg.svd(R)
+    return np.asarray(u @ vt)

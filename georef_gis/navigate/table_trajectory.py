@@ -1,0 +1,174 @@
+"""A finished trajectory of another program, or of the 9-state filter, as any other trajectory."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from georef_gis.errors import InputError, NavigationError
+from georef_gis.frames import Array, R_ned_from_body
+from georef_gis.model.logs import TrajectoryLog
+from georef_gis.model.trajectory import StateChain, TrajectoryStates
+from georef_gis.navigate.resample import at_times
+
+KIND = "table"
+_FORMAT = 1
+# s without rows that is not bridged
+LONGEST_GAP = 1.0
+# s; errors of smoothed trajectories stay alike for about this long
+CORRELATION = 30.0
+# one sigma where the trajectory states none: m per axis, and rad of roll, pitch and of heading
+SIGMA_POSITION = 2.0
+SIGMA_LEVEL = math.radians(1.0)
+SIGMA_HEADING = math.radians(3.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TableTrajectory:
+    """Rows of a trajectory with attitude, of the IMU; between them it is interpolated."""
+
+    log: TrajectoryLog
+
+    def __post_init__(self) -> None:
+        """Check that there is something to interpolate."""
+        if len(self.log) < 2:
+            raise NavigationError(f"{self.log.source}: {len(self.log)} rows; two are needed")
+        if not np.isfinite(self.log.rpy).any():
+            raise NavigationError(f"{self.log.source}: holds no attitude; use it as [logs] gnss")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.log.time[0]), float(self.log.time[-1])
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of every row, as stated or by default; (n, 6, 6)."""
+        out = self.log.covariance.copy()
+        position, angle = (~np.isfinite(out[:, k, k]) for k in (0, 3))
+        for rows, first in ((position, 0), (angle, 3)):
+            out[rows, first : first + 3, :] = 0.0
+            out[rows, :, first : first + 3] = 0.0
+        for k, sigma in enumerate((SIGMA_LEVEL, SIGMA_LEVEL, SIGMA_HEADING)):
+            out[position, k, k] = SIGMA_POSITION**2
+            out[angle, 3 + k, 3 + k] = sigma**2
+        return np.where(np.isfinite(out), out, 0.0)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is doubtful."""
+        bare = np.count_nonzero(~np.isfinite(self.log.covariance[:, 0, 0]))
+        if not bare:
+            return self.log.doubts
+        return (
+            *self.log.doubts,
+            f"{self.log.source}: no accuracies in {bare} of {len(self.log)} rows: "
+            f"{SIGMA_POSITION} m, {math.degrees(SIGMA_LEVEL):.0f} deg of roll and pitch and "
+            f"{math.degrees(SIGMA_HEADING):.0f} deg of heading are taken",
+        )
+
+    def why_not(self, time: float) -> str:
+        """Reason, in words, why there is no state at a time; empty where there is one."""
+        first, last = self.span
+        if not np.isfinite(time):
+            return "its time is not known"
+        if time < first:
+            return f"its time lies {first - time:.1f} s before the trajectory"
+        if time > last:
+            return f"its time lies {time - last:.1f} s after the trajectory"
+        i = int(np.searchsorted(self.log.time, time, side="left"))
+        gap = float(self.log.time[i] - self.log.time[max(i - 1, 0)])
+        usual = float(np.median(np.diff(self.log.time)))
+        if gap > max(LONGEST_GAP, 2.0 * usual):
+            return f"its time lies in a gap of {gap:.1f} s of the trajectory"
+        return ""
+
+    def at(self, times: ArrayLike) -> TrajectoryStates:
+        """States at times, in any order."""
+        t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        self._check(t)
+        here = at_times(self.log, t)
+        R = R_ned_from_body(here.rpy[:, 0], here.rpy[:, 1], here.rpy[:, 2])
+        return TrajectoryStates(
+            time=t,
+            p_geo=np.stack([here.lat, here.lon, here.height], axis=-1),
+            v_ned=np.where(np.isfinite(here.v_ned), here.v_ned, 0.0),
+            R_ned_from_body=R,
+            rate_body=self._rates(t, R),
+            covariance=self._covariance(t),
+        )
+
+    def chain(self, times: ArrayLike) -> StateChain:
+        """Errors at increasing times, alike over `CORRELATION` seconds."""
+        t = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        self._check(t)
+        P = self._covariance(t)
+        L = np.linalg.cholesky(P + 1e-12 * np.eye(6) * np.trace(P, axis1=1, axis2=2)[:, None, None])
+        G = np.zeros_like(P)
+        for i in range(len(t) - 1):
+            rho = math.exp(-(t[i + 1] - t[i]) / CORRELATION)
+            G[i] = rho * L[i] @ np.linalg.inv(L[i + 1])
+        return StateChain(time=t, covariance=P, gain=G)
+
+    def _covariance(self, t: Array) -> Array:
+        time, P = self.log.time, self.covariance
+        i = np.clip(np.searchsorted(time, t, side="right") - 1, 0, len(time) - 2)
+        u = ((t - time[i]) / (time[i + 1] - time[i]))[:, None, None]
+        return np.asarray((1.0 - u) * P[i] + u * P[i + 1])
+
+    def _rates(self, t: Array, R: Array) -> Array:
+        """Angular rates by differences over the usual step, rad/s; level axes turn slowly."""
+        from georef_gis.frames import log_so3
+
+        h = 0.5 * float(np.median(np.diff(self.log.time)))
+        first, last = self.span
+        before, after = np.clip(t - h, first, last), np.clip(t + h, first, last)
+        turned = [R_ned_from_body(*(at_times(self.log, x).rpy.T)) for x in (before, after)]
+        rotation = np.swapaxes(turned[0], -1, -2) @ turned[1]
+        return np.asarray(log_so3(rotation) / np.maximum(after - before, 1e-6)[:, None])
+
+    def _check(self, t: Array) -> None:
+        for value in t:
+            if why := self.why_not(float(value)):
+                raise NavigationError(f"time {value:.3f} s: {why}")
+
+    def save(self, path: Path) -> None:
+        """Write all columns into one ``.npz``, whole or not at all."""
+        columns = {
+            item.name: value
+            for item in fields(self.log)
+            if isinstance(value := getattr(self.log, item.name), np.ndarray)
+        }
+        words = {
+            "source": np.array(self.log.source),
+            "position_of": np.array(self.log.position_of),
+            "doubts": np.array(self.log.doubts, str),
+        }
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns, **words)
+        part.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> TableTrajectory:
+        """Read what `save` wrote."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                columns = {n: file[n] for n in file.files if n not in ("format", "kind")}
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"is no trajectory ({error}); run `georef navigate` again", source=str(path)
+            ) from error
+        return cls(
+            log=TrajectoryLog(
+                source=str(columns.pop("source")),
+                position_of=str(columns.pop("position_of")),
+                doubts=tuple(str(d) for d in columns.pop("doubts")),
+                **columns,
+            )
+        )

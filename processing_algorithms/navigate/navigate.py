@@ -1,0 +1,187 @@
+"""Tool `navigate`: from the logs of a flight to its trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from georef_gis.errors import Cancelled, GeorefError
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.model.logs import FlightLogs
+    from georef_gis.project import Project
+
+
+class NavigateParameters(p.Parameters):
+    """Parameters of `navigate`."""
+
+    map: tuple[p.Text, ...] = p.text(
+        (),
+        title="Column of a text log, such as 'gyro_x=GyroX:deg/s'; give it once per column",
+        help="see docs/logs.md",
+    )
+    strict: p.Flag = p.flag(
+        False,
+        title="Fail where a log cannot be used",
+        help="otherwise the photos keep the poses of their tags, and a warning says why",
+    )
+
+
+class Navigate(Algorithm[NavigateParameters]):
+    """Trajectory of the flight from its logs.
+
+    IMU and GNSS go through an error-state Kalman filter and a smoother; noise of the IMU and delay
+    of the fixes are found in the log itself. GNSS alone, GNSS with an autopilot's attitude, or a
+    finished trajectory (SBET) give one too, with sigmas to match. Formats: docs/logs.md.
+    """
+
+    id, name, group = "navigate", "Trajectory from the logs", "navigate"
+    needs, gives = ("photos",), ("trajectory",)
+    outputs = (Output(name="trajectory", title="Trajectory (columns of numbers, .npz)"),)
+    in_run = True
+    in_quick = False
+    uses_settings = ("logs", "imu", "gnss", "mount")
+
+    def inputs(self, context: Context, parameters: NavigateParameters) -> Sequence[Path]:
+        """The logs."""
+        from processing_algorithms.navigate.flight import log_files
+
+        return [path for path in log_files(context.require_project()) if path.exists()]
+
+    def run(self, context: Context, parameters: NavigateParameters, feedback: Feedback) -> Result:
+        """Read, filter, smooth."""
+        from processing_algorithms.navigate.flight import TRAJECTORY, log_files
+
+        project = context.require_project()
+        path = project.navigation / TRAJECTORY
+        if not log_files(project):
+            path.unlink(missing_ok=True)
+            return Result(summary={})
+        try:
+            summary = _navigate(project, parameters.map, path, feedback)
+        except Cancelled:
+            raise
+        except GeorefError as error:
+            path.unlink(missing_ok=True)
+            if parameters.strict:
+                raise
+            line = f"the logs are not used, poses come from the tags: {error}"
+            feedback.warn(line)
+            return Result(summary={"doubts": [line]})
+        return Result(outputs={"trajectory": path}, summary=summary)
+
+
+def _navigate(
+    project: Project, maps: Sequence[str], path: Path, feedback: Feedback
+) -> dict[str, Any]:
+    from processing_algorithms.navigate.flight import read_project_logs, words
+
+    feedback.progress(0.05, "reading logs")
+    logs = read_project_logs(project, maps)
+    feedback.progress(0.3, "filtering")
+    trajectory, notes = _trajectory(project, logs)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trajectory.save(path)
+    doubts = words(logs.doubts, trajectory.doubts)
+    for doubt in doubts:
+        feedback.warn(doubt)
+    for note in notes:
+        feedback.info(note)
+    first, last = trajectory.span
+    return {
+        "logs": logs.format,
+        "duration_s": round(last - first, 1),
+        "start_gps": round(first, 3),
+        "notes": list(notes),
+        "doubts": doubts,
+    }
+
+
+def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    """Trajectory of what the logs hold, and how it was made."""
+    from georef_gis.errors import NavigationError
+
+    chosen = project.settings.logs.filter
+    has_imu = logs.imu is not None and len(logs.imu) > 0
+    has_gnss = logs.gnss is not None and len(logs.gnss) > 0
+    if logs.trajectory is not None and chosen == "auto" and not (has_imu and has_gnss):
+        return _finished(logs)
+    if has_gnss and (chosen == "gnss" or (chosen == "auto" and not has_imu)):
+        return _kinematic(project, logs)
+    if not has_gnss:
+        raise NavigationError(
+            "the logs hold no GNSS fixes; name a GNSS log or PPK positions in [logs] gnss"
+        )
+    if not has_imu:
+        raise NavigationError(f'the logs hold no IMU, which [logs] filter = "{chosen}" needs')
+    return _report_filter(project, logs) if chosen == "ekf9" else _inertial(project, logs)
+
+
+def _finished(logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    from georef_gis.navigate.table_trajectory import TableTrajectory
+
+    assert logs.trajectory is not None
+    return TableTrajectory(log=logs.trajectory), (f"finished trajectory: {logs.format}",)
+
+
+def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    from dataclasses import replace
+
+    from georef_gis.navigate.gnss_noise import prepare_fixes
+    from georef_gis.navigate.inertial_solution import smooth_flight
+    from georef_gis.navigate.tuning import tune
+    from processing_algorithms.navigate.flight import navigation_settings
+
+    assert logs.imu is not None
+    assert logs.gnss is not None
+    gnss, imu = project.settings.gnss, project.settings.imu
+    settings = navigation_settings(project)
+    fixes = prepare_fixes(
+        logs.gnss, slow_sigma=gnss.slow_sigma_m, latency=gnss.latency_s or 0.0, geoid=gnss.geoid
+    )
+    tuned = tune(logs.imu, fixes, settings, noise=imu.tune, delay=gnss.latency_s is None)
+    aids = _aids(project, logs)
+    trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, aids)
+    notes = (*trajectory.notes, *tuned.notes, *_gnss_notes(fixes.slow))
+    return replace(trajectory, notes=notes), notes
+
+
+def _gnss_notes(slow: Any) -> tuple[str, ...]:
+    """How much of the fixes' error no smoothing takes away."""
+    if not slow.any():
+        return ("the fixes scatter as much as they state: their error is taken as white",)
+    return (f"slow error of the fixes that stays: {slow[0]:.2f} m east and north",)
+
+
+def _aids(project: Project, logs: FlightLogs) -> tuple[Any, ...]:
+    """Aids that [imu] use names; a magnetic field becomes headings."""
+    wanted = set(project.settings.imu.use)
+    return tuple(aid for aid in logs.aids if aid.kind in wanted and aid.kind != "magnetic_field")
+
+
+def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    from georef_gis.navigate.kinematic import KinematicTrajectory
+
+    from georef_gis.navigate.gnss_noise import prepare_fixes
+
+    assert logs.gnss is not None
+    gnss = project.settings.gnss
+    fixes = prepare_fixes(
+        logs.gnss, slow_sigma=gnss.slow_sigma_m, latency=gnss.latency_s or 0.0, geoid=gnss.geoid
+    )
+    trajectory = KinematicTrajectory.fit(fixes, logs.attitude)
+    what = "with the logged attitude" if logs.attitude is not None else "attitude from the course"
+    return trajectory, (f"GNSS alone, {what}",)
+
+
+def _report_filter(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    from georef_gis.navigate.ekf9 import run_ekf9, trajectory_of_ekf9
+    from georef_gis.navigate.table_trajectory import TableTrajectory
+
+    assert logs.imu is not None
+    assert logs.gnss is not None
+    log = trajectory_of_ekf9(run_ekf9(logs.imu, logs.gnss))
+    return TableTrajectory(log=log), ("the 9-state filter of the 2009 report, smoothed",)

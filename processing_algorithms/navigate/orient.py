@@ -1,0 +1,387 @@
+"""Tool `orient_navigation`: when every photo was exposed, and its pose by the trajectory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Result
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.frames import Array
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.model.logs import EventLog
+    from georef_gis.model.photo import Photo
+    from georef_gis.model.pose import Pose
+    from georef_gis.model.trajectory import Trajectory
+    from georef_gis.navigate.exposure_poses import ExposurePoses
+    from georef_gis.navigate.exposures import ExposureTimes
+    from georef_gis.project import Project
+
+# a photo whose event is less sure than this is doubtful
+SURE = 0.99
+# deg; a camera that differs more from its tags is mounted otherwise than stated
+MOUNT_DIFFERENCE = 25.0
+# of several kinds of events the first that there is
+EVENT_KINDS = ("sync_board", "feedback", "trigger")
+
+
+class OrientNavigation(Algorithm[p.Parameters]):
+    """Pose of every photo from the trajectory.
+
+    Photos and noted events (sync board, camera messages, time marks) are matched as sequences;
+    without events the camera's clock is laid on the trajectory by the tagged positions. Lever
+    arms and boresight carry the trajectory to the camera. A photo outside of the log keeps the
+    pose of its tags.
+    """
+
+    id, name, group = "orient_navigation", "Orient photos from the trajectory", "navigate"
+    needs, gives = ("photos", "trajectory", "poses"), ("poses",)
+    in_run = True
+    in_quick = False
+    uses_settings = ("logs", "gnss", "mount", "ground")
+
+    def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
+        """The logs, which hold events, and the trajectory."""
+        from processing_algorithms.navigate.flight import TRAJECTORY, log_files
+
+        project = context.require_project()
+        files = [*log_files(project), project.navigation / TRAJECTORY]
+        return [path for path in files if path.exists()]
+
+    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+        """Match and orient."""
+        from processing_algorithms.navigate.flight import (
+            EXPOSURES,
+            TRAJECTORY,
+            load_trajectory,
+        )
+
+        project = context.require_project()
+        if not (project.navigation / TRAJECTORY).exists():
+            _forget(project)
+            (project.navigation / EXPOSURES).unlink(missing_ok=True)
+            return Result(summary={})
+        work = _Work.of(project, load_trajectory(project))
+        doubts = [line for flight in work.flights() for line in work.orient(flight)]
+        doubts += work.save(context.run_id)
+        for doubt in doubts:
+            feedback.warn(doubt)
+        for note in work.notes:
+            feedback.info(note)
+        return Result(
+            outputs={},
+            summary={
+                "oriented": len(work.poses),
+                "left_to_tags": len(work.photos) - len(work.poses),
+                "notes": work.notes,
+                "doubts": doubts,
+            },
+        )
+
+
+def _forget(project: Project) -> None:
+    """Drop what an earlier trajectory left, and give photos the time of their tags back."""
+    database = project.database
+    with database.transaction():
+        database.delete_rows("pose", {"kind": "navigation"})
+        for row in database.rows("photo"):
+            before = (row["tags"] or {}).get("tag_time")
+            if before is not None:
+                tags = {key: value for key, value in row["tags"].items() if key != "tag_time"}
+                database.update("photo", row["fid"], tags=tags, match_confidence=None, **before)
+
+
+@dataclass(slots=True)
+class _Work:
+    """One run: what it works on, and what it found."""
+
+    project: Project
+    frame: MapFrame
+    trajectory: Trajectory
+    photos: list[Photo]
+    tags: dict[str, Pose]
+    turned: dict[str, int]
+    epoch: float
+    events: EventLog | None
+    times: dict[str, dict[str, Any]]
+    poses: dict[str, Pose]
+    doubts: dict[str, list[str]]
+    flights_found: dict[str, dict[str, Any]]
+    joint: list[ExposurePoses]
+    notes: list[str]
+
+    @classmethod
+    def of(cls, project: Project, trajectory: Trajectory) -> _Work:
+        """Read what is needed."""
+        from georef_gis.project.records import load_frame, photo_of, pose_of
+
+        database = project.database
+        rows = database.rows("photo")
+        photos = [_with_tag_time(photo_of(row), row) for row in rows]
+        poses = database.rows("pose", {"kind": "tags"})
+        epoch = database.meta("epoch")
+        return cls(
+            project=project,
+            frame=load_frame(database),
+            trajectory=trajectory,
+            photos=photos,
+            tags={row["photo_id"]: pose_of(row) for row in poses},
+            turned={r["photo_id"]: int((r["extra"] or {}).get("turned_deg", 0)) for r in poses},
+            epoch=float(epoch) if epoch is not None else float(int(trajectory.span[0])),
+            events=_events(project, len(photos)),
+            times={}, poses={}, doubts={}, flights_found={}, joint=[], notes=[],
+        )  # fmt: skip
+
+    def flights(self) -> list[list[Photo]]:
+        """Photos of each flight in the order of exposure."""
+        by_id: dict[str, list[Photo]] = {}
+        for photo in self.photos:
+            by_id.setdefault(photo.flight_id, []).append(photo)
+        return [sorted(group, key=_order) for _, group in sorted(by_id.items())]
+
+    def orient(self, photos: list[Photo]) -> list[str]:
+        """Times and poses of one flight; what is doubtful, in words."""
+        from processing_algorithms.navigate.matching import match_flight
+
+        found, said = match_flight(self, photos)
+        self.notes += said.notes
+        usable = []
+        for i, photo in enumerate(photos):
+            time = float(found.time[i])
+            self._note_time(photo, found, i)
+            why = self.trajectory.why_not(time)
+            if why:
+                self.doubts.setdefault(photo.id, []).append(f"{why}: keeps the pose of its tags")
+            else:
+                usable.append(i)
+        lines = list(said.doubts)
+        if usable:
+            lines += self._pose(photos, found, usable)
+        left = [photo for photo in photos if photo.id not in self.poses]
+        if left:
+            whys = [f"{q.id}: {self.doubts[q.id][-1]}" for q in left if q.id in self.doubts]
+            lines += whys[:3]
+            if len(left) > 3:
+                lines.append(f"{len(left)} of {len(photos)} photos keep the poses of their tags")
+        return lines
+
+    def _note_time(self, photo: Photo, found: ExposureTimes, i: int) -> None:
+        time, sigma = float(found.time[i]), float(found.sigma[i])
+        self.times[photo.id] = {
+            "time_gps": time - self.epoch if math.isfinite(time) else None,
+            "time_sigma_s": sigma if math.isfinite(sigma) else None,
+            "time_source": found.source[i],
+            "match_confidence": float(found.confidence[i]),
+        }
+
+    def _pose(self, photos: list[Photo], found: ExposureTimes, usable: list[int]) -> list[str]:
+        import numpy as np
+
+        from georef_gis.navigate.exposure_poses import exposure_poses
+        from processing_algorithms.navigate.flight import project_mount
+
+        order = sorted(usable, key=lambda i: float(found.time[i]))
+        times = found.time[order]
+        ids = [photos[i].id for i in order]
+        gimbal = self.project.settings.mount.gimbal
+        held = [self.tags.get(name) for name in ids] if gimbal else None
+        result = exposure_poses(
+            self.trajectory, ids, times, _time_variance(found, order), project_mount(self.project),
+            self.frame.origin, sigma_datum=self.frame.datum_sigma, held=held,
+        )  # fmt: skip
+        self.joint.append(result)
+        lines = []
+        shift, line = self._height_shift(result)
+        if line:
+            lines.append(line)
+        for name, pose, i in zip(ids, result.poses, order, strict=True):
+            turned = math.radians(self.turned.get(name, 0))
+            lifted = pose.origin_enu + np.array([0.0, 0.0, shift])
+            self.poses[name] = replace(
+                pose, origin_enu=lifted, R_enu_from_cam=_spun(pose.R_enu_from_cam, -turned)
+            )
+            confidence = float(found.confidence[i])
+            if confidence < SURE:
+                self.doubts.setdefault(name, []).append(
+                    f"its exposure is matched with a confidence of {100 * confidence:.0f} % only"
+                )
+        unsure = sum(float(found.confidence[i]) < SURE for i in order)
+        if unsure:
+            lines.append(f"{unsure} of {len(order)} exposure times are less than 99 % sure")
+        return lines + self._mount_check()
+
+    def _height_shift(self, result: ExposurePoses) -> tuple[float, str]:
+        """What brings the trajectory's heights onto those the ground was derived from, m.
+
+        A DEM or a stated height is absolute, and so are the logs. A ground that was derived from
+        the tags' heights is not: the cameras must keep their height above it.
+        """
+        import numpy as np
+
+        ground = self.project.settings.ground
+        both = [
+            (self.tags[name].origin_enu[2] - pose.origin_enu[2], pose.covariance[2, 2])
+            for name, pose in zip(result.ids, result.poses, strict=True)
+            if name in self.tags
+        ]
+        if not both:
+            return 0.0, ""
+        shift = float(np.median([d for d, _ in both]))
+        sigma = math.sqrt(float(np.median([v for _, v in both])))
+        if ground.dem is None and ground.height_m is None:
+            return shift, ""
+        limit = max(5.0 * sigma, 15.0)
+        if abs(shift) <= limit:
+            return 0.0, ""
+        return 0.0, (
+            f"the logs put the cameras {abs(shift):.0f} m {'below' if shift > 0 else 'above'} the "
+            "tags: one of the two heights is of another kind; check [gnss] height_kind and the log"
+        )
+
+    def _mount_check(self) -> list[str]:
+        """Whether tags and trajectory agree on where the camera looks."""
+        import numpy as np
+
+        from georef_gis.frames import rotation_angle
+
+        if self.project.settings.mount.gimbal:
+            return []
+        said = {q.id for q in self.photos if q.attitude is not None}
+        both = [name for name in self.poses if name in self.tags and name in said]
+        if len(both) < 3:
+            return []
+        apart = [
+            math.degrees(
+                rotation_angle(self.tags[n].R_enu_from_cam @ self.poses[n].R_enu_from_cam.T)
+            )
+            for n in both
+        ]
+        middle = float(np.median(apart))
+        if middle < MOUNT_DIFFERENCE:
+            return []
+        return [
+            f"tags and trajectory differ by {middle:.0f} deg in where the camera looks: check "
+            "[mount] image_top and looks, set gimbal = true for a gimbal, or the axes of the IMU"
+        ]
+
+    def save(self, run_id: int | None) -> list[str]:
+        """Write poses, times and clocks; what is doubtful, in words."""
+        from processing_algorithms.navigate.flight import EXPOSURES
+        from processing_algorithms.site import load_ground
+
+        database = self.project.database
+        terrain = load_ground(self.project, self.frame)
+        rows, refused = [], []
+        for name, pose in self.poses.items():
+            agl = float(pose.origin_enu[2] - terrain.z_at(pose.origin_enu[:2]))
+            if not agl > 0.0:
+                refused.append(f"{name}: the trajectory puts it {-agl:.0f} m below the ground")
+                continue
+            rows.append(self._row(name, pose, agl, run_id))
+        with database.transaction():
+            database.replace_rows("pose", rows, where={"kind": "navigation"})
+            self._save_times()
+            for flight_id, columns in self.flights_found.items():
+                for row in database.rows("flight", {"flight_id": flight_id}):
+                    database.update("flight", row["fid"], **columns)
+            database.set_meta(epoch=self.epoch)
+        path = self.project.navigation / EXPOSURES
+        path.unlink(missing_ok=True)
+        if len(self.joint) == 1:
+            self.joint[0].save(path)
+        if refused and not rows:
+            refused.append("no pose of the trajectory is used: check the heights of log and ground")
+        return refused
+
+    def _row(self, name: str, pose: Pose, agl: float, run_id: int | None) -> dict[str, Any]:
+        from georef_gis.project.records import pose_row
+
+        row = pose_row(
+            name, pose, self.frame, height_above_ground=agl, dialect="trajectory",
+            doubts=self.doubts.get(name, []), turned_deg=self.turned.get(name, 0),
+        )  # fmt: skip
+        return {**row, "time_gps": self.times[name]["time_gps"], "run_id": run_id}
+
+    def _save_times(self) -> None:
+        database = self.project.database
+        for row in database.rows("photo"):
+            columns = self.times.get(row["photo_id"])
+            if columns is None or columns["time_gps"] is None:
+                continue
+            tags = dict(row["tags"] or {})
+            keys = ("time_gps", "time_sigma_s", "time_source")
+            tags.setdefault("tag_time", {key: row[key] for key in keys})
+            database.update("photo", row["fid"], tags=tags, **columns)
+
+
+def _with_tag_time(photo: Photo, row: Mapping[str, Any]) -> Photo:
+    """Photo with the time of its own tags, whatever an earlier run found."""
+    before = (row["tags"] or {}).get("tag_time")
+    if before is None:
+        return photo
+    return replace(
+        photo,
+        time_gps=before["time_gps"],
+        time_sigma=before["time_sigma_s"],
+        time_source=before["time_source"] or "",
+        match_confidence=None,
+    )
+
+
+def _order(photo: Photo) -> tuple[Any, ...]:
+    from datetime import datetime
+
+    from georef_gis.navigate.exposures import file_number
+
+    return (
+        photo.camera_clock or datetime.max,
+        photo.time_gps if photo.time_gps is not None else math.inf,
+        file_number(photo.path.name) or 0,
+        photo.id,
+    )
+
+
+def _spun(R_enu_from_cam: Array, angle: float) -> Array:
+    """Rotation of a camera whose pixels were turned after the exposure."""
+    import numpy as np
+
+    from georef_gis.frames import exp_so3
+
+    return np.asarray(R_enu_from_cam @ exp_so3([0.0, 0.0, angle]))
+
+
+def _time_variance(found: ExposureTimes, order: Sequence[int]) -> Array:
+    """Variance of the exposure times, s^2; a doubtful match may be a whole interval off."""
+    import numpy as np
+
+    times = found.time[list(order)]
+    interval = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+    doubt = 1.0 - found.confidence[list(order)]
+    return np.asarray(found.sigma[list(order)] ** 2 + doubt * interval**2)
+
+
+def _events(project: Project, photos: int) -> EventLog | None:
+    """The events to match: of the file that [logs] sync names, else the best kind there is."""
+    from processing_algorithms.navigate.flight import read_project_logs
+
+    logs = read_project_logs(project)
+    named = project.settings.logs.sync
+    candidates = [events for events in logs.events if len(events) > 0]
+    if named is not None:
+        path = str(project.path(named))
+        own = [events for events in candidates if events.source.startswith(path)]
+        candidates = own or candidates
+    if not candidates:
+        return None
+    return min(
+        candidates,
+        key=lambda e: (
+            EVENT_KINDS.index(e.kind) if e.kind in EVENT_KINDS else len(EVENT_KINDS),
+            abs(len(e) - photos),
+        ),
+    )
