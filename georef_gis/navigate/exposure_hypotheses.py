@@ -52,6 +52,8 @@ class Hypothesis:
     drift: float
     covariance: Array
     log_evidence: float
+    # the part of it that was believed of the offset beforehand
+    log_prior: float = 0.0
     probability: float = 1.0
     photo: IntArray
     event: IntArray
@@ -246,6 +248,7 @@ def _fitted(
         drift=float(mean[1]),
         covariance=found.covariance(),
         log_evidence=found.log_evidence,
+        log_prior=float(prior.log_density(mean[0])),
         photo=photo,
         event=event,
         posterior=p,
@@ -298,7 +301,8 @@ def _with_probabilities(
     The model takes exposures as a Poisson process; triggers are more regular. In a regular
     sequence the difference of two shifted fits is a sum of chance terms, or of one stray event
     that falls into the gap of a missed one. As in Vuong's test (Econometrica 57, 1989) a
-    difference counts only as far as it exceeds the scatter of the single terms.
+    difference counts only as far as it exceeds the scatter of the single terms. What is known
+    of the clock beforehand is no chance term and counts in full.
     """
     null = math.log(_UNRELATED) + log_null(model)
     logs = np.array([h.log_evidence for h in found])
@@ -306,7 +310,9 @@ def _with_probabilities(
     scatter = np.array([math.sqrt(float(np.sum((best.share - h.share) ** 2))) for h in found])
     usual = float(np.median(scatter[scatter > 0.0])) if np.any(scatter > 0.0) else 0.0
     top = float(logs.max())
-    near = np.maximum(0.0, np.r_[top - logs - scatter, others - usual])
+    known = best.log_prior - np.array([h.log_prior for h in found])
+    matched = best.log_evidence - logs - known
+    near = np.r_[np.maximum(0.0, matched - scatter) + known, np.maximum(0.0, others - usual)]
     log_p = np.r_[-near, null - top]
     p = np.exp(log_p - log_p.max())
     p /= p.sum()

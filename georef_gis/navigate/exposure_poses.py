@@ -9,9 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from georef_gis.ellipsoid import Origin
-from georef_gis.frames import Array, R_enu_from_ned, skew
+from georef_gis.frames import (
+    R_ENU_FROM_NED_SAME_PLACE,
+    Array,
+    R_enu_from_ned,
+    log_so3,
+    skew,
+)
 from georef_gis.model.pose import Mount, Pose
 from georef_gis.model.trajectory import StateChain, Trajectory
+
+# s; a time less exact than this is not linear in what the vehicle does
+COARSE = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,6 +114,7 @@ def exposure_poses(
         *[mount.sigma_lever_arm**2] * 3, *[mount.sigma_boresight**2] * 3, *[sigma_datum**2] * 2, 0.0
     ])  # fmt: skip
     arm = mount.lever_arm_body_camera
+    turned = _coarse_times(trajectory, times, variance_of_time, origin)
     p_imu = origin.enu_from_geo(states.p_geo)
     for i in range(n):
         lat, lon = states.p_geo[i, :2]
@@ -122,11 +132,14 @@ def exposure_poses(
         if tagged is None:
             L[i, 3:, 3:] = R_en
             M[i, 3:, 3:6] = R_eb
-        moved = np.concatenate([velocity, rate if tagged is None else np.zeros(3)])
+        moved = np.concatenate([velocity, rate])
         own[i] = variance_of_time[i] * np.outer(moved, moved)
+        if i in turned:
+            own[i] = turned[i]
         R_ec = R_eb @ mount.R_body_from_cam
         if tagged is not None:
-            own[i, 3:, 3:] += tagged.covariance[3:, 3:]
+            own[i, 3:, :] = own[i, :, 3:] = 0.0
+            own[i, 3:, 3:] = tagged.covariance[3:, 3:]
             R_ec = tagged.R_enu_from_cam
         covariance = L[i] @ chain.covariance[i][:6, :6] @ L[i].T + M[i] @ shared @ M[i].T + own[i]
         poses.append(
@@ -143,6 +156,37 @@ def exposure_poses(
         ids=tuple(ids), poses=tuple(poses), chain=chain, to_pose=L, mount=M,
         mount_covariance=shared, own=own,
     )  # fmt: skip
+
+
+def _coarse_times(
+    trajectory: Trajectory, times: Array, variance: Array, origin: Origin
+) -> dict[int, Array]:
+    """Covariance that a coarse exposure time gives a pose, (6, 6), by its place in the order.
+
+    Over tenths of a second a vehicle in gusts does not turn at one rate: the trajectory itself,
+    before and after, says how far the pose may be off (Gauss-Hermite quadrature over the time).
+    """
+    sigma = np.sqrt(variance)
+    coarse = np.flatnonzero(sigma > COARSE)
+    if len(coarse) == 0:
+        return {}
+    first, last = trajectory.span
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    tried = np.clip(times[coarse] + np.outer(nodes, sigma[coarse]), first, last)
+    for row in tried:
+        bad = [bool(trajectory.why_not(float(t))) for t in row]
+        row[bad] = times[coarse][bad]
+    here = trajectory.at(times[coarse])
+    p = origin.enu_from_geo(here.p_geo)
+    moved = []
+    for row in tried:
+        there = trajectory.at(row)
+        turn = log_so3(there.R_ned_from_body @ np.swapaxes(here.R_ned_from_body, -1, -2))
+        R_en = R_ENU_FROM_NED_SAME_PLACE
+        moved.append(np.hstack([origin.enu_from_geo(there.p_geo) - p, turn @ R_en.T]))
+    share, off = weights / weights.sum(), np.stack(moved)
+    each = np.einsum("q,qka,qkb->kab", share, off, off)
+    return {int(i): each[k] for k, i in enumerate(coarse)}
 
 
 def _orthonormal(R: Array) -> Array:

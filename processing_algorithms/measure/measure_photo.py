@@ -77,7 +77,7 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
         if parameters.pixel:
             uv = [(one.u, one.v) for one in parameters.pixel]
             points = measure_pixels(photo, uv, terrain, sigma_uv=parameters.click)
-            rows = _rows(points, frame)
+            rows = _rows(points, frame, photo.pose.sigma_height_shared)
             summary["points"] = rows
             if len(uv) > 1:
                 summary["lines"] = [
@@ -179,7 +179,8 @@ def _with_given(photo: Any, parameters: MeasurePhotoParameters) -> Any:
     return replace(photo, attitude=replace(old, yaw=heading))
 
 
-def _rows(points: PhotoPoints, frame: MapFrame) -> list[dict[str, float]]:
+def _rows(points: PhotoPoints, frame: MapFrame, sigma_shared: float) -> list[dict[str, float]]:
+    """Places with their sigmas; `sigma_shared`, m, is that of the ground's own level."""
     import numpy as np
 
     rows = []
@@ -198,7 +199,7 @@ def _rows(points: PhotoPoints, frame: MapFrame) -> list[dict[str, float]]:
                 "height_ellipsoidal_m": round(float(h), 3),
                 "sigma_e_m": round(float(np.sqrt(c[0, 0])), 3),
                 "sigma_n_m": round(float(np.sqrt(c[1, 1])), 3),
-                "sigma_u_m": round(float(np.sqrt(c[2, 2])), 3),
+                "sigma_u_m": round(float(np.hypot(np.sqrt(c[2, 2]), sigma_shared)), 3),
                 "corr_en": round(float(c[0, 1] / np.sqrt(c[0, 0] * c[1, 1])), 4),
             }
         )

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 GRID = 0.25
 # m, one sigma of a tagged position where the tag states none
 SIGMA_TAG = 3.0
-# m/s; slower, a position tells nothing of the time
-SLOWEST = 2.0
 
 
 @dataclass(slots=True)
@@ -39,15 +37,23 @@ def match_flight(work: _Work, photos: Sequence[Photo]) -> tuple[ExposureTimes, S
     InputError
         If neither events, nor tags, nor positions tell of the times.
     """
+    import numpy as np
+
     from georef_gis.navigate.exposures import match_exposures
+    from georef_gis.navigate.tag_evidence import with_tagged_places
 
     said = Said()
     clocks = [_clock(photo, work.epoch) for photo in photos]
     track = _track(work)
     clock = _position_clock(work, photos, clocks, track, said)
     found = match_exposures(clocks, work.events, _options(work), clock=clock)
-    if work.events is None and clock is not None:
-        found = _refined(work, photos, found, track)
+    found = with_tagged_places(
+        found,
+        np.empty(0) if work.events is None else work.events.time,
+        np.array([_tagged(work, photo) for photo in photos]),
+        np.array([_tag_sigma(photo) for photo in photos]),
+        track,
+    )
     said.doubts += [*found.doubts, *found.alternatives]
     _tell(work, photos, found, said)
     return found, said
@@ -122,6 +128,7 @@ def _position_clock(
         clock_from_positions,
         middle_of_reading,
     )
+    from georef_gis.navigate.tag_evidence import TAG_AGE
 
     stated = work.project.settings.logs.camera_clock_offset_s is not None
     timed = sum(c.time_gps is not None for c in clocks)
@@ -133,13 +140,15 @@ def _position_clock(
     sigma = np.array([_tag_sigma(photo) for photo in photos])
     first, last = work.trajectory.span
     try:
-        return clock_from_positions(
+        clock = clock_from_positions(
             TaggedPositions(
                 clock=middle_of_reading(readings, resolution), resolution=resolution,
                 position=place, sigma=sigma,
             ),
             track, first, last,
         )  # fmt: skip
+        aged = clock.covariance + np.diag([TAG_AGE**2, 0.0])
+        return replace(clock, covariance=aged)
     except NavigationError as error:
         said.doubts.append(f"the camera's clock cannot be found by the tagged positions: {error}")
         return None
@@ -159,31 +168,6 @@ def _tag_sigma(photo: Photo) -> float:
     return tag.sigma_h if tag is not None and tag.sigma_h else SIGMA_TAG
 
 
-def _refined(
-    work: _Work,
-    photos: Sequence[Photo],
-    found: ExposureTimes,
-    track: Callable[[Array], tuple[Array, Array]],
-) -> ExposureTimes:
-    """Times with what each photo's own tagged position tells, where the clock counts seconds."""
-    import numpy as np
-
-    p, v = track(found.time)
-    time, sigma = found.time.copy(), found.sigma.copy()
-    for i, photo in enumerate(photos):
-        speed = float(np.hypot(*v[i]))
-        if photo.geotag is None or not speed > SLOWEST or found.source[i] != "clock":
-            continue
-        along = float((np.array(_tagged(work, photo)) - p[i]) @ v[i]) / speed**2
-        own = _tag_sigma(photo) / speed
-        if not math.isfinite(sigma[i]) or abs(along) > 4.0 * math.hypot(own, sigma[i]):
-            continue
-        weight = sigma[i] ** 2 / (sigma[i] ** 2 + own**2)
-        time[i] += weight * along
-        sigma[i] *= math.sqrt(1.0 - weight)
-    return replace(found, time=time, sigma=sigma)
-
-
 def _tell(work: _Work, photos: Sequence[Photo], found: ExposureTimes, said: Said) -> None:
     """Notes for people, and the columns of table `flight`."""
     columns: dict[str, Any] = {"start_gps": work.trajectory.span[0] - work.epoch,
@@ -191,7 +175,8 @@ def _tell(work: _Work, photos: Sequence[Photo], found: ExposureTimes, said: Said
     matched = sum(index >= 0 for index in found.event)
     if work.events is not None:
         said.notes.append(
-            f"{matched} of {len(photos)} photos matched to {len(work.events)} {_kind(work)} events; "
+            f"{matched} of {len(photos)} photos matched to {len(work.events)} {_kind(work)} "
+            f"events; "
             f"{len(found.missed)} photos without event, {len(found.spurious)} events without photo"
         )
     if found.clock is not None:

@@ -163,9 +163,8 @@ def _aids(project: Project, logs: FlightLogs) -> tuple[Any, ...]:
 
 
 def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
-    from georef_gis.navigate.kinematic import KinematicTrajectory
-
     from georef_gis.navigate.gnss_noise import prepare_fixes
+    from georef_gis.navigate.kinematic import KinematicTrajectory
 
     assert logs.gnss is not None
     gnss = project.settings.gnss

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 # a photo whose event is less sure than this is doubtful
 SURE = 0.99
+# and one that is less likely than this has a sigma that covers the neighbouring event
+LIKELY = 0.95
 # deg; a camera that differs more from its tags is mounted otherwise than stated
 MOUNT_DIFFERENCE = 25.0
 # of several kinds of events the first that there is
@@ -356,12 +358,17 @@ def _spun(R_enu_from_cam: Array, angle: float) -> Array:
 
 
 def _time_variance(found: ExposureTimes, order: Sequence[int]) -> Array:
-    """Variance of the exposure times, s^2; a doubtful match may be a whole interval off."""
+    """Variance of the exposure times, s^2; a doubtful match may be a whole interval off.
+
+    A match that is nearly sure keeps its own sigma: a chance of one in a hundred of a gross error
+    belongs into its confidence, not into a sigma that would hide how good the others are.
+    """
     import numpy as np
 
     times = found.time[list(order)]
     interval = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    doubt = 1.0 - found.confidence[list(order)]
+    confidence = found.confidence[list(order)]
+    doubt = np.where(confidence < LIKELY, 1.0 - confidence, 0.0)
     return np.asarray(found.sigma[list(order)] ** 2 + doubt * interval**2)
 
 

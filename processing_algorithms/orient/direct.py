@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Result
 from georef_gis.toolbox import parameters as p
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from georef_gis.orient.direct import DirectPose, DirectSettings
     from georef_gis.orient.heights import GroundSetting, Heights
     from georef_gis.project import Project
+    from processing_algorithms.dem import UnitChoice
 
 
 LEVER_ARM_KEYS = {"lever_arm_camera_m", "lever_arm_antenna_m", "sigma_lever_arm_m"}
@@ -44,6 +45,8 @@ class OrientDirect(Algorithm[p.Parameters]):
 
     def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
         """Orient them."""
+        from dataclasses import replace
+
         from georef_gis.orient.direct import direct_poses
         from georef_gis.project.records import load_frame, photo_of
 
@@ -51,7 +54,7 @@ class OrientDirect(Algorithm[p.Parameters]):
         frame = load_frame(project.database)
         photos = [_with_dialect(photo_of(row), project) for row in project.database.rows("photo")]
         photos = _in_time(photos)
-        ground = _ground(project, frame, photos)
+        ground, dem_unit = _ground(project, frame, photos, feedback)
         placed = [photo for photo in photos if photo.geotag is not None]
         heights = _heights(placed, frame, ground, project)
         mount, settings = _mount(project), _settings(project, frame)
@@ -59,8 +62,10 @@ class OrientDirect(Algorithm[p.Parameters]):
         poses = direct_poses(
             photos, frame.origin, heights, mount, settings, convergence_at=frame.convergence_at
         )
+        if dem_unit is not None and dem_unit.doubt:
+            heights = replace(heights, doubts=(dem_unit.doubt, *heights.doubts))
         doubts = _report(poses, heights, frame, feedback)
-        _save(project, frame, photos, poses, heights)
+        _save(context, frame, photos, poses, _ground_facts(project, heights, dem_unit))
         oriented = [pose for pose in poses if pose.pose is not None]
         agl = sorted(h for p in oriented if math.isfinite(h := p.height_above_ground))
         summary = {
@@ -105,24 +110,33 @@ def _with_dialect(photo: Photo, project: Project) -> Photo:
     return replace(photo, attitude=attitude)
 
 
-def _ground(project: Project, frame: MapFrame, photos: list[Photo]) -> GroundSetting:
+def _ground(
+    project: Project, frame: MapFrame, photos: list[Photo], feedback: Feedback
+) -> tuple[GroundSetting, UnitChoice | None]:
+    """What project.toml says of the ground, and the unit of its DEM."""
     import numpy as np
 
     from georef_gis.orient.heights import GroundSetting
-    from processing_algorithms.site import read_dem, stated_ground_height
+    from processing_algorithms.dem import choose_unit, read_dem
+    from processing_algorithms.site import stated_ground_height
 
     settings = project.settings.ground
-    dem = None
+    dem, choice = None, None
     if settings.dem is not None:
         tags = [photo.geotag for photo in photos if photo.geotag is not None]
         geo = np.array([[t.lat, t.lon, frame.origin.height_ellipsoidal] for t in tags])
-        dem = read_dem(project, frame, frame.origin.enu_from_geo(geo))
-    return GroundSetting(
+        found = read_dem(project, frame, frame.origin.enu_from_geo(geo))
+        choice = choose_unit(found, photos)
+        if choice.told:
+            feedback.info(choice.told)
+        dem = found.terrain(choice.unit)
+    setting = GroundSetting(
         height=stated_ground_height(project),
         height_above_ground=settings.height_above_ground_m,
         dem=dem,
         sigma=settings.sigma_m,
     )
+    return setting, choice
 
 
 def _heights(
@@ -137,17 +151,24 @@ def _heights(
 
     from georef_gis.errors import InputError
     from georef_gis.geodesy import HeightKind, geoid_undulation
-    from georef_gis.orient.heights import solve_heights
+    from georef_gis.orient.heights import solve_heights, unknown_kind
 
     gnss = project.settings.gnss
     kind = None if gnss.height_kind == "auto" else HeightKind(gnss.height_kind)
     try:
-        return solve_heights(photos, frame.origin, ground, kind=kind, geoid=gnss.geoid)
+        return solve_heights(
+            photos, frame.origin, ground, kind=kind, geoid=gnss.geoid, sigma_v=gnss.sigma_v_m
+        )
     except InputError as error:
         if kind is not None or "height_kind" not in error.field:
             raise
     heights = solve_heights(
-        photos, frame.origin, ground, kind=HeightKind.ORTHOMETRIC, geoid=gnss.geoid
+        photos,
+        frame.origin,
+        ground,
+        kind=HeightKind.ORTHOMETRIC,
+        geoid=gnss.geoid,
+        sigma_v=gnss.sigma_v_m,
     )
     geoid = float(geoid_undulation(frame.origin.lat, frame.origin.lon, geoid=gnss.geoid))
     doubt = (
@@ -158,6 +179,7 @@ def _heights(
     return replace(
         heights,
         sigma={key: math.hypot(sigma, geoid / 2) for key, sigma in heights.sigma.items()},
+        kinds=dict.fromkeys(heights.kinds, unknown_kind(gnss.geoid)),
         doubts=(*heights.doubts, doubt),
     )
 
@@ -189,7 +211,6 @@ def _settings(project: Project, frame: MapFrame) -> DirectSettings:
 
     return DirectSettings(
         sigma_h=gnss.sigma_h_m,
-        sigma_v=gnss.sigma_v_m,
         sigma_roll_pitch=angle(attitude.sigma_roll_pitch_deg),
         sigma_yaw=angle(attitude.sigma_yaw_deg),
         sigma_datum=frame.datum_sigma,
@@ -233,16 +254,28 @@ def _report(
     return doubts
 
 
+def _ground_facts(
+    project: Project, heights: Heights, dem_unit: UnitChoice | None
+) -> dict[str, Any]:
+    """What the database says of the ground under the poses."""
+    from processing_algorithms.site import ground_facts
+
+    dem = project.settings.ground.dem
+    facts = ground_facts(heights.terrain, heights.source, project.path(dem) if dem else None)
+    facts["sigma_shared_m"] = heights.sigma_shared
+    return facts if dem_unit is None else {**facts, "dem_unit_m": dem_unit.unit}
+
+
 def _save(
-    project: Project,
+    context: Context,
     frame: MapFrame,
     photos: list[Photo],
     poses: list[DirectPose],
-    heights: Heights,
+    ground: dict[str, Any],
 ) -> None:
     from georef_gis.project.records import pose_row
-    from processing_algorithms.site import ground_facts
 
+    project = context.require_project()
     by_id = {photo.id: photo for photo in photos}
     rows = []
     for pose in poses:
@@ -258,11 +291,8 @@ def _save(
             doubts=pose.doubts,
             turned_deg=pose.turned_deg,
         )
-        rows.append({**row, "time_gps": photo.time_gps})
-    dem = project.settings.ground.dem
+        rows.append({**row, "time_gps": photo.time_gps, "run_id": context.run_id})
     database = project.database
     with database.transaction():
         database.replace_rows("pose", rows, where={"kind": "tags"})
-        database.set_meta(
-            ground=ground_facts(heights.terrain, heights.source, project.path(dem) if dem else None)
-        )
+        database.set_meta(ground=ground)

@@ -16,7 +16,7 @@ from georef_gis.model.logs import EventLog, FlightLogs, TimeScale, unknown
 from georef_gis.units import GPS_WEEK
 
 # s; latency of the interrupt that stamps the shutter pulse on a microcontroller, assumed
-_SIGMA = 1e-4
+_SIGMA = 1e-3
 _NAMED = 5
 
 
