@@ -38,6 +38,8 @@ SIGMA_COURSE = math.radians(20.0)
 SIGMA_ANY = math.pi / math.sqrt(3.0)
 # rad, one sigma of roll and pitch as levelled
 SIGMA_LEVEL = math.radians(3.0)
+# sigmas of chance by which a motion must exceed the noise of the velocities to be seen
+SEEN = 5.0
 # m/s; slower, the course says nothing
 SLOWEST_COURSE = 5.0
 # s; how far back from the aligned moment the log is used
@@ -53,6 +55,9 @@ class Alignment:
     sigma_level: float
     sigma_heading: float
     method: str
+    # rad/s and its one sigma, where a first look has found it
+    gyro_bias: Array | None = None
+    sigma_gyro_bias: float = math.inf
 
 
 @compiled
@@ -201,10 +206,13 @@ def _wahba(seen: Array, felt: Array, sigma: float, dt: Array) -> tuple[Array, fl
     # two velocities and an accelerometer's bias; neighbours share a velocity, hence the 2
     noise = 2.0 * (2.0 * sigma**2 + (0.1 * dt) ** 2)
     misfit = np.sum((seen - felt @ C.T) ** 2, axis=1) / noise
-    level = np.sum((seen[:, :2] ** 2).sum(axis=1) / noise)
     # the horizontal part less its mean: a constant one cannot be told from a tilt
-    mean = seen[:, :2].mean(axis=0)
-    level -= len(seen) * float(mean @ mean) / float(np.mean(noise))
+    moved = seen[:, :2] - seen[:, :2].mean(axis=0)
+    level = float(np.sum((moved**2).sum(axis=1) / noise))
+    # what the velocities' own noise puts there is no motion
+    noisy = 4.0 * sigma**2 / noise
+    expected, spread = float(np.sum(noisy)), float(np.sqrt(np.sum(noisy**2)))
+    level = level - expected if level > expected + SEEN * spread else 0.0
     excess = max(1.0, float(np.mean(misfit)) / 3.0)
     return C, SIGMA_ANY if level <= 0.0 else min(math.sqrt(excess / level), SIGMA_ANY)
 
@@ -235,7 +243,10 @@ def _levelled(imu: Array, fixes: Fixes) -> Alignment:
     """Level from the first seconds' force; heading unknown."""
     start = max(imu[0, 0], float(fixes.time[0]))
     if start >= imu[-1, 0]:
-        raise NavigationError("the IMU and the GNSS log do not overlap")
+        raise NavigationError(
+            f"the IMU log ({imu[0, 0]:.1f} to {imu[-1, 0]:.1f} s) and the GNSS log "
+            f"({fixes.time[0]:.1f} to {fixes.time[-1]:.1f} s) do not overlap"
+        )
     return Alignment(
         time=start,
         R_ned_from_body=_level_at(imu, start),

@@ -22,7 +22,7 @@ from georef_gis.frames import (
     log_so3,
     rpy_from_R_ned_from_body,
 )
-from georef_gis.model.logs import AttitudeLog
+from georef_gis.model.logs import AttitudeLog, IntArray
 
 # rad, one sigma of a heading of which nothing is known
 SIGMA_ANY = math.pi / math.sqrt(3.0)
@@ -195,7 +195,7 @@ class AttitudeTrack:
             tau=np.full(3, self.settings.tau),
         )
 
-    def _index(self, t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    def _index(self, t: Array) -> IntArray:
         found = np.searchsorted(self.time, t, side="right") - 1
         return np.clip(found, 0, len(self.time) - 2).astype(np.int64)
 

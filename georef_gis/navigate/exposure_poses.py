@@ -18,9 +18,12 @@ from georef_gis.frames import (
 )
 from georef_gis.model.pose import Mount, Pose
 from georef_gis.model.trajectory import StateChain, Trajectory
+from georef_gis.navigate.columns_file import write_columns
 
 # s; a time less exact than this is not linear in what the vehicle does
 COARSE = 0.02
+# of its variance, in every direction
+CROOKED = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,14 +70,12 @@ class ExposurePoses:
 
     def save(self, path: Path) -> None:
         """Write all but the poses, which stand in the database, whole or not at all."""
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
-            np.savez(
-                file, ids=np.array(self.ids, str), time=self.chain.time,
-                covariance=self.chain.covariance, gain=self.chain.gain, to_pose=self.to_pose,
-                mount=self.mount, mount_covariance=self.mount_covariance, own=self.own,
-            )  # fmt: skip
-        part.replace(path)
+        columns = {
+            "ids": list(self.ids), "time": self.chain.time, "covariance": self.chain.covariance,
+            "gain": self.chain.gain, "to_pose": self.to_pose, "mount": self.mount,
+            "mount_covariance": self.mount_covariance, "own": self.own,
+        }  # fmt: skip
+        write_columns(path, "exposures", columns)
 
 
 def exposure_poses(
@@ -186,6 +187,10 @@ def _coarse_times(
         moved.append(np.hstack([origin.enu_from_geo(there.p_geo) - p, turn @ R_en.T]))
     share, off = weights / weights.sum(), np.stack(moved)
     each = np.einsum("q,qka,qkb->kab", share, off, off)
+    for block in (slice(0, 3), slice(3, 6)):
+        # a few points of a crooked path do not fill the space that it runs through
+        own = np.trace(each[:, block, block], axis1=1, axis2=2) / 3.0
+        each[:, block, block] += CROOKED * own[:, None, None] * np.eye(3)
     return {int(i): each[k] for k, i in enumerate(coarse)}
 
 

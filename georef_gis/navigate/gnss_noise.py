@@ -80,6 +80,8 @@ def measured_scatter(gnss: GnssLog) -> Array | None:
         else np.full(3, SIGMA_VELOCITY)
     )
     usual = dt < min(LONGEST_STEP, 1.5 * float(np.median(dt)))
+    if not np.isfinite(gnss.v_ned[:, 0]).any():
+        return _scatter_of_positions(p, dt)
     step = np.diff(p, axis=0) - 0.5 * (gnss.v_ned[1:] + gnss.v_ned[:-1]) * dt[:, None]
     out = np.empty(3)
     for axis in range(3):
@@ -90,6 +92,17 @@ def measured_scatter(gnss: GnssLog) -> Array | None:
         moved = float(np.median(dt[usual])) * (sigma_v[axis] if np.isfinite(sigma_v[axis]) else 0.0)
         out[axis] = math.sqrt(max(spread**2 / 2.0 - moved**2 / 4.0, (0.1 * spread) ** 2))
     return out
+
+
+def _scatter_of_positions(p: Array, dt: Array) -> Array | None:
+    """White sigma by second differences, where there are no velocities; turns are the tails."""
+    usual = (dt[1:] < LONGEST_STEP) & (np.abs(dt[1:] - dt[:-1]) < 0.1 * dt[1:])
+    second = (p[2:] - 2.0 * p[1:-1] + p[:-2])[usual]
+    second = second[np.isfinite(second).all(axis=1)]
+    if len(second) < FEWEST_STEPS:
+        return None
+    spread = 1.4826 * np.median(np.abs(second - np.median(second, axis=0)), axis=0)
+    return np.asarray(np.maximum(spread, 1e-3) / math.sqrt(6.0))
 
 
 def local_positions(gnss: GnssLog) -> Array:
@@ -152,7 +165,7 @@ def _split(stated: Array, white: Array | None, slow: float | None) -> tuple[Arra
     usual = np.sqrt(np.median(np.einsum("nii->ni", stated), axis=0))
     if white is None:
         white = usual * (1.0 if slow == 0.0 else WHITE_SHARE)
-    white = np.maximum(white, LEAST_WHITE * usual)
+    white = np.clip(white, LEAST_WHITE * usual, None if slow == 0.0 else 1.5 * usual)
     share = white / usual
     if slow is not None:
         return stated * np.outer(share, share), np.full(3, slow)

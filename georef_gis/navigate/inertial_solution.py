@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from georef_gis.errors import NavigationError
@@ -21,15 +22,24 @@ from georef_gis.navigate.alignment import (
 )
 from georef_gis.navigate.gnss_noise import Fixes
 from georef_gis.navigate.inertial import BASIC, SCALE, nav_of
-from georef_gis.navigate.kalman import run_filter
+from georef_gis.navigate.kalman import run_filter, unpack
 from georef_gis.navigate.settings import NavigationSettings
 from georef_gis.navigate.smoother import run_smoother
 from georef_gis.navigate.trajectory import InertialTrajectory
 
+# Times of the nodes, and the fix at each
+Nodes = tuple[Array, NDArray[np.int64]]
 # s; how much of the log the first attitude is refined on
 FIRST_STRETCH = 60.0
 # rad, one sigma of a first heading: wide enough to count the first stretch only once
 START_HEADING = math.radians(5.0)
+# s of waiting before the aligned moment that need no bias of their own
+SHORT_WAIT = 5.0
+# sigmas of a bias found on the first stretch that make its prior: that counts the stretch once
+BIAS_WIDTH = 3.0
+LEAST_BIAS = math.radians(20.0) / 3600.0
+# share of fixes that may disagree; with more, log and fixes are not of one flight
+MOST_DISAGREE = 1.0 / 3.0
 # times the first stretch is smoothed at most
 ROUNDS = 3
 # a probability that refuses only what is absurd, until the filter has settled
@@ -96,7 +106,7 @@ def imu_table(imu: ImuLog) -> Array:
     return np.ascontiguousarray(np.column_stack([imu.time, imu.gyro, imu.accel]))
 
 
-def plan_nodes(imu: Array, fixes: Fixes, start: float, gap: float) -> tuple[Array, Array]:
+def plan_nodes(imu: Array, fixes: Fixes, start: float, gap: float) -> Nodes:
     """Times of the nodes and the fix at each, -1 for none.
 
     Every fix within the IMU's span is a node; between, no step is longer than `gap`.
@@ -129,10 +139,16 @@ def _gaps(imu: Array, nodes: Array) -> tuple[Array, Array]:
     long = np.flatnonzero(step > max(SHORT_GAP, 3.0 * usual))
     jump = np.zeros((len(nodes), 3))
     for i in long:
-        width = step[i] - usual
-        m = min(int(np.searchsorted(nodes, imu[i + 1, 0])), len(nodes) - 1)
-        force, rate = GAP_FORCE * width, GAP_RATE * width
-        jump[m] += [(force * width / 2) ** 2, force**2, rate**2]
+        start, end, width = imu[i, 0], imu[i + 1, 0], step[i] - usual
+        # let in node by node, or the fixes within the gap would meet a state that is too sure
+        first = int(np.searchsorted(nodes, start, side="right"))
+        last = min(int(np.searchsorted(nodes, end)), len(nodes) - 1)
+        before = start
+        for m in range(first, last + 1):
+            part = min(nodes[m], end) - before
+            before = min(nodes[m], end)
+            force, rate = GAP_FORCE**2 * width * part, GAP_RATE**2 * width * part
+            jump[m] += [force * part**2 / 4.0, force, rate]
     return jump, np.column_stack([imu[long, 0], imu[long + 1, 0]])
 
 
@@ -168,12 +184,16 @@ def _prior(layout: _Layout, fixes: Fixes, start: float, aligned: Alignment, R: A
     P = np.diag(layout.prior)
     spread = 10.0 + 3.0 * float(np.sqrt(np.max(fixes.R_p[i].diagonal()))) + 30.0 * away
     sigma_v = 2.0 + 3.0 * float(np.sqrt(np.max(fixes.R_v[i].diagonal()))) if has_v else 10.0
-    drift = layout.prior[9] ** 0.5 * abs(aligned.time - start)
+    x = np.zeros(len(layout.prior) - 9)
+    if aligned.gyro_bias is not None:
+        x[:3] = aligned.gyro_bias
+        P[9:12, 9:12] = min(layout.prior[9], aligned.sigma_gyro_bias**2) * np.eye(3)
+    drift = math.sqrt(P[9, 9]) * abs(aligned.time - start)
     P[:3, :3] = spread**2 * np.eye(3)
     P[3:6, 3:6] = min(sigma_v + 5.0 * away, 40.0) ** 2 * np.eye(3)
     P[6:8, 6:8] = (aligned.sigma_level + drift) ** 2 * np.eye(2)
     P[8, 8] = min(aligned.sigma_heading + drift, SIGMA_ANY) ** 2
-    return nav_of(fixes.p_geo[i], v, R), np.zeros(len(layout.prior) - 9), P
+    return nav_of(fixes.p_geo[i], v, R), x, P
 
 
 def _difference_velocity(fixes: Fixes, i: int) -> Array:
@@ -186,7 +206,7 @@ def _difference_velocity(fixes: Fixes, i: int) -> Array:
 
 def _pass(
     imu: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings,
-    prior: tuple[Array, Array, Array], nodes: tuple[Array, Array], aids: Sequence[AidLog],
+    prior: tuple[Array, Array, Array], nodes: Nodes, aids: Sequence[AidLog],
 ) -> tuple[tuple[Array, ...], Array, Array, Array]:  # fmt: skip
     """One filter pass: what it left, innovations, jumps and gaps."""
     times, fix = nodes
@@ -253,6 +273,7 @@ def smooth_flight(
     nodes = _until_last_fix(nodes, fixes)
     prior = _prior(layout, fixes, start, refined, refined.R_ned_from_body)
     passed, chi, jump, gaps = _pass(table, fixes, layout, settings, prior, nodes, aids)
+    _refuse_disagreement(chi, imu.source)
     model = np.stack([layout.density, layout.tau])
     m, size = len(nodes[0]), len(layout.prior) - 9
     nav, x = np.empty((m, 15)), np.empty((m, size))
@@ -267,6 +288,18 @@ def smooth_flight(
     )  # fmt: skip
 
 
+def _refuse_disagreement(chi: Array, source: str) -> None:
+    """Raise where so many fixes disagree with the IMU that no covariance would be true."""
+    for column, name in ((0, "positions"), (1, "velocities")):
+        seen = chi[np.isfinite(chi[:, column]), column]
+        share = float(np.mean(seen < 0.0)) if len(seen) > 20 else 0.0
+        if share > MOST_DISAGREE:
+            raise NavigationError(
+                f"{source or 'IMU log'}: {100 * share:.0f} % of the GNSS {name} disagree with the "
+                "IMU; check its axes and units, whether it saturates, and the clocks of both logs"
+            )
+
+
 def _check_overlap(table: Array, fixes: Fixes, source: str) -> None:
     first, last = max(table[0, 0], fixes.time[0]), min(table[-1, 0], fixes.time[-1])
     if last - first < 2.0:
@@ -277,7 +310,7 @@ def _check_overlap(table: Array, fixes: Fixes, source: str) -> None:
         )
 
 
-def _until_last_fix(nodes: tuple[Array, Array], fixes: Fixes) -> tuple[Array, Array]:
+def _until_last_fix(nodes: Nodes, fixes: Fixes) -> Nodes:
     """Nodes up to two seconds behind the last fix: then inertial navigation drifts unseen."""
     keep = nodes[0] <= fixes.time[-1] + 2.0
     return nodes[0][keep], nodes[1][keep]
@@ -303,27 +336,39 @@ def _refined(
     if found is None:
         return aligned
     better = replace(aligned, time=start, R_ned_from_body=found[0], sigma_heading=wide)
-    if begin >= start:
+    if begin >= start - SHORT_WAIT:
         return better
-    better = replace(
-        better, time=begin, R_ned_from_body=carried_back(table, better, found[1], begin)
-    )
+    better = _with_bias(better, found, carried_back(table, better, found[1], begin), begin)
     for _ in range(ROUNDS):
         found = _first_state(table, fixes, layout, settings, better, (begin, end))
         if found is None:
             break
         turn = _heading_between(better.R_ned_from_body, found[0])
-        better = replace(better, R_ned_from_body=found[0])
+        better = _with_bias(better, found, found[0], begin)
         if abs(turn) < START_HEADING / 3.0:
             break
     return better
 
 
+def _with_bias(
+    aligned: Alignment, found: tuple[Array, Array, float], R: Array, time: float
+) -> Alignment:
+    """Alignment at another time with the gyro's bias as found, its sigma wide.
+
+    Over minutes of waiting the sigma of an unknown bias would make the heading anything, and the
+    first fixes of the flight would be linearised about a heading that is none.
+    """
+    return replace(
+        aligned, time=time, R_ned_from_body=R, gyro_bias=found[1],
+        sigma_gyro_bias=max(BIAS_WIDTH * found[2], LEAST_BIAS),
+    )  # fmt: skip
+
+
 def _first_state(
     table: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings,
     aligned: Alignment, stretch: tuple[float, float],
-) -> tuple[Array, Array] | None:  # fmt: skip
-    """Smoothed attitude and gyro bias at the start of a stretch; None where it is too short."""
+) -> tuple[Array, Array, float] | None:  # fmt: skip
+    """Smoothed attitude, gyro bias and its sigma at the start of a stretch; None if too short."""
     nodes, fix = plan_nodes(table, fixes, stretch[0], settings.node_gap)
     keep = nodes <= stretch[1]
     m, size = int(np.count_nonzero(keep)), len(layout.prior) - 9
@@ -333,7 +378,9 @@ def _first_state(
     passed, _, jump, _ = _pass(table, fixes, layout, settings, prior, (nodes[keep], fix[keep]), ())
     nav, x, packed = np.empty((m, 15)), np.empty((m, size)), np.empty_like(passed[4])
     run_smoother(nodes[keep], jump, np.stack([layout.density, layout.tau]), passed, nav, x, packed)
-    return nav[0, 6:].reshape(3, 3).copy(), x[0, :3].copy()
+    P = unpack(packed[0], 9 + size)
+    sigma = math.sqrt(float(np.max(np.diag(P)[9:12])))
+    return nav[0, 6:].reshape(3, 3).copy(), x[0, :3].copy(), sigma
 
 
 def _heading_between(R_one: Array, R_other: Array) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.navigate.dense import (
@@ -32,9 +33,9 @@ from georef_gis.navigate.inertial import (
     turn_left,
 )
 
-# Chi-square of three and one degrees of freedom, one in a thousand
-GATE_3 = 16.266
-GATE_1 = 10.828
+IntArray = NDArray[np.int64]
+# times the patience with positions while velocities are accepted
+PATIENCE = 6.0
 
 
 @compiled
@@ -246,8 +247,9 @@ def _gnss_block(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Gated update with a position (`slow` >= 0) or a velocity (`slow` < 0), in place.
 
-    Returns the normalised innovation squared, negative if it was too large and the fix counted less; the log-likelihood
-    without 2 pi; and the variance that was added because nothing had been accepted for too long.
+    Returns the normalised innovation squared, negative if it was too large and the fix counted
+    less; the log-likelihood without 2 pi; and the variance that was added because nothing had been
+    accepted for too long.
     """
     first, floor = (0, 100.0) if slow >= 0 else (3, 1.0)
     added = 0.0
@@ -280,7 +282,7 @@ def _gnss_block(
 
 @compiled
 def _aid(
-    P: Array, nav: Array, x: Array, kind: int, z: Array, layout: Array, gate: float
+    P: Array, nav: Array, x: Array, kind: int, z: Array, layout: IntArray, gate: float
 ) -> None:  # fmt: skip
     """Gated update with value and sigma of one aid, in place."""
     h, r = _scalar_terms(kind, z[0], nav, x, layout[1], layout[2])
@@ -317,7 +319,7 @@ def unpack(packed: Array, n: int) -> Array:
 
 @compiled
 def run_filter(
-    imu: Array, nodes: Array, jump: Array, fix: Array, layout: Array, model: Array,
+    imu: Array, nodes: Array, jump: Array, fix: IntArray, layout: IntArray, model: Array,
     gnss: tuple[Array, Array], aids: Array, arm: Array, options: Array,
     nav: Array, x: Array, P: Array, out: tuple[Array, ...], chi: Array,
 ) -> int:  # fmt: skip
@@ -388,6 +390,9 @@ def run_filter(
                 if math.isnan(gnss[0][block, j, 0]):
                     continue
                 late = nodes[m] - good[block] > options[2]
+                if block == 0 and nodes[m] - good[1] <= options[2]:
+                    # a filter whose velocity agrees cannot be far astray: the positions are
+                    late = nodes[m] - good[0] > PATIENCE * options[2]
                 z = (gnss[0][block, j], gnss[1][block, j])
                 slow = layout[0] if block == 0 else -1
                 nis, ll, added = _gnss_block(P, nav, x, z, arm, rate, slow, options[0], late)

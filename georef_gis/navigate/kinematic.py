@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from georef_gis.ellipsoid import Origin
 from georef_gis.errors import InputError
 from georef_gis.frames import R_ENU_FROM_NED_SAME_PLACE, Array, R_enu_from_ned, skew
+from georef_gis.model.logs import IntArray
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
 from georef_gis.navigate.attitude_track import (
     AttitudeParts,
@@ -24,7 +25,7 @@ from georef_gis.navigate.attitude_track import (
 from georef_gis.navigate.kinematic_smoother import STATES, insert
 
 _FORMAT = 1
-_KIND = "kinematic"
+KIND = "kinematic"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,7 +210,7 @@ class KinematicTrajectory:
         held = self.held[self._index(t)]
         return attitude_of_course(v, a, sigma_v, held, self.settings.attitude)
 
-    def _index(self, t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    def _index(self, t: Array) -> IntArray:
         found = np.searchsorted(self.time, t, side="right") - 1
         return np.clip(found, 0, len(self.time) - 2).astype(np.int64)
 
@@ -231,7 +232,7 @@ class KinematicTrajectory:
         columns["arm"] = self._arm
         part = path.with_name(path.name + ".part")
         with part.open("wb") as file:
-            np.savez(file, format=np.array(_FORMAT), kind=np.array(_KIND), **columns)
+            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns)
         part.replace(path)
 
     @classmethod
@@ -248,7 +249,7 @@ class KinematicTrajectory:
             with np.load(path, allow_pickle=False) as file:
                 columns = {name: file[name] for name in file.files}
             kind = str(columns.pop("kind", "inertial"))
-            if kind != _KIND:
+            if kind != KIND:
                 raise InputError(f"holds a trajectory of kind {kind!r}; {again}", source=str(path))
             if int(columns.pop("format")) != _FORMAT:
                 raise InputError(f"is of another version; {again}", source=str(path))
@@ -273,8 +274,10 @@ def _from_columns(columns: dict[str, Array]) -> KinematicTrajectory:
     )
     track = None
     if "track_time" in columns:
-        held = {name: columns["track_" + name] for name in _TRACK}
-        track = AttitudeTrack(settings=settings.attitude, **held)
+        time, rpy, sigma, bridge = (columns["track_" + name] for name in _TRACK)
+        track = AttitudeTrack(
+            time=time, rpy=rpy, sigma_rpy=sigma, bridge=bridge, settings=settings.attitude
+        )
     notes, doubts = (tuple(str(w) for w in columns[name]) for name in ("notes", "doubts"))
     kept = {name: columns[name] for name in _COLUMNS}
     return KinematicTrajectory(track=track, settings=settings, notes=notes, doubts=doubts, **kept)

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from georef_gis.frames import Array
+from georef_gis.model.logs import IntArray
 from georef_gis.navigate.dense import cholesky, compiled, product, product_t, solve_rows, symmetrise
 from georef_gis.navigate.kalman import pack, unpack
 from georef_gis.navigate.smoother import gain, smoothed_covariance
@@ -277,7 +278,7 @@ def backward(
 @compiled
 def insert(
     time: Array, model: Array, slow: Array, passed: tuple[Array, ...],
-    smoothed: tuple[Array, Array], at: Array, index: Array, chained: bool,
+    smoothed: tuple[Array, Array], at: Array, index: IntArray, chained: bool,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """States at times between the nodes, their covariances and the gains between neighbours.
 

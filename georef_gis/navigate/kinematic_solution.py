@@ -35,8 +35,6 @@ MOST_FIXES = 2000
 # s, and a factor on the noise of the acceleration: gaps twice as long have all of it
 LOOSE_FROM = 10.0
 LOOSEST = 2.0
-# factor on the likeliest acceleration: manoeuvres come in bursts, where the fixes tell of the mean
-BURSTS = 1.0
 # m/s, one sigma of a velocity before the first fix
 ANY_VELOCITY = 60.0
 # m, the least sigma of a fix: receivers state zero
@@ -142,7 +140,7 @@ def _motion(seen: _Observations, slow: Array, settings: KinematicSettings) -> Ar
     part = _most_moving(seen)
     told = np.array([_pass(part, np.tile(rung, (3, 1)), slow, settings)[1] for rung in LADDER])
     level, vertical = (LADDER[int(np.argmax(told[:, k]))] for k in (0, 1))
-    return np.array([level, level, vertical]) * [BURSTS, 1.0]
+    return np.array([level, level, vertical])
 
 
 def smooth_fixes(

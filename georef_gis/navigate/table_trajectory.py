@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from georef_gis.errors import InputError, NavigationError
+from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, R_ned_from_body
 from georef_gis.model.logs import TrajectoryLog
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
+from georef_gis.navigate.columns_file import read_columns, write_columns
 from georef_gis.navigate.resample import at_times
 
 KIND = "table"
-_FORMAT = 1
 # s without rows that is not bridged
 LONGEST_GAP = 1.0
 # s; errors of smoothed trajectories stay alike for about this long
@@ -139,36 +139,14 @@ class TableTrajectory:
 
     def save(self, path: Path) -> None:
         """Write all columns into one ``.npz``, whole or not at all."""
-        columns = {
-            item.name: value
-            for item in fields(self.log)
-            if isinstance(value := getattr(self.log, item.name), np.ndarray)
-        }
-        words = {
-            "source": np.array(self.log.source),
-            "position_of": np.array(self.log.position_of),
-            "doubts": np.array(self.log.doubts, str),
-        }
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
-            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns, **words)
-        part.replace(path)
+        names = [item.name for item in fields(self.log) if item.name != "scale"]
+        write_columns(path, KIND, {name: getattr(self.log, name) for name in names})
 
     @classmethod
     def load(cls, path: Path) -> TableTrajectory:
-        """Read what `save` wrote."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                columns = {n: file[n] for n in file.files if n not in ("format", "kind")}
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"is no trajectory ({error}); run `georef navigate` again", source=str(path)
-            ) from error
-        return cls(
-            log=TrajectoryLog(
-                source=str(columns.pop("source")),
-                position_of=str(columns.pop("position_of")),
-                doubts=tuple(str(d) for d in columns.pop("doubts")),
-                **columns,
-            )
-        )
+        """Read what `save` wrote; raises InputError if the file is none."""
+        columns = read_columns(path, KIND)
+        columns["doubts"] = tuple(str(word) for word in columns["doubts"])
+        for name in ("source", "position_of"):
+            columns[name] = str(columns[name])
+        return cls(log=TrajectoryLog(**columns))

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from georef_gis.errors import InputError, NavigationError
+from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
+from georef_gis.navigate.columns_file import read_columns, write_columns
 from georef_gis.navigate.smoother import chain_at, states_at
 
 # order of the errors in a chain: position, attitude, then velocity and the rest
 _POSE_FIRST = (0, 1, 2, 6, 7, 8, 3, 4, 5)
-_FORMAT = 1
 KIND = "inertial"
 
 
@@ -147,7 +148,7 @@ class InertialTrajectory:
             rate = rate - np.einsum("nij,nj->ni", m, rate)
         return np.asarray(rate)
 
-    def _index(self, t: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    def _index(self, t: Array) -> Any:
         found = np.searchsorted(self.nodes, t, side="right") - 1
         return np.clip(found, 0, len(self.nodes) - 2).astype(np.int64)
 
@@ -164,16 +165,7 @@ class InertialTrajectory:
 
     def save(self, path: Path) -> None:
         """Write all columns into one ``.npz``, whole or not at all."""
-        columns = {
-            name: getattr(self, name)
-            for name in self.__dataclass_fields__
-            if name not in ("notes", "doubts")
-        }
-        words = {"notes": np.array(self.notes, str), "doubts": np.array(self.doubts, str)}
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
-            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns, **words)
-        part.replace(path)
+        write_columns(path, KIND, {item.name: getattr(self, item.name) for item in fields(self)})
 
     @classmethod
     def load(cls, path: Path) -> InertialTrajectory:
@@ -182,19 +174,9 @@ class InertialTrajectory:
         Raises
         ------
         InputError
-            If the file is none, or of another version.
+            If the file is none, cut off, or of another version.
         """
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                if int(file["format"]) != _FORMAT:
-                    raise InputError("is of another version; run `georef navigate` again",
-                                     source=str(path))  # fmt: skip
-                columns = {
-                    name: file[name] for name in file.files if name not in ("format", "kind")
-                }
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(
-                f"is no trajectory ({error}); run `georef navigate` again", source=str(path)
-            ) from error
-        words = {name: tuple(str(w) for w in columns.pop(name)) for name in ("notes", "doubts")}
-        return cls(**columns, **words)
+        columns = read_columns(path, KIND)
+        for name in ("notes", "doubts"):
+            columns[name] = tuple(str(word) for word in columns[name])
+        return cls(**columns)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.model.logs import ImuLog
@@ -83,10 +84,13 @@ def tune(
             break
         step = tuner.delay(settings)
         found = replace(step, seconds=total + step.seconds)
-        if not step.significant:
+        # a delay that is taken out is taken out to its last millisecond
+        if not step.significant and total == 0.0:
             break
         total += step.seconds
         fixes = replace(fixes, time=fixes.time - step.seconds)
+        if not step.significant:
+            break
     if noise and factors != (1.0, 1.0):
         notes.append(f"noise of the IMU: gyro {factors[0]:.3g}, accelerometer {factors[1]:.3g} "
                      "times what is stated")  # fmt: skip
@@ -162,7 +166,7 @@ class Tuner:
         return _parabola(tried, best)
 
 
-def _part(fixes: Fixes, chosen: Array) -> Fixes:
+def _part(fixes: Fixes, chosen: NDArray[np.bool_]) -> Fixes:
     return replace(
         fixes, time=fixes.time[chosen], p_geo=fixes.p_geo[chosen], R_p=fixes.R_p[chosen],
         v=fixes.v[chosen], R_v=fixes.R_v[chosen],

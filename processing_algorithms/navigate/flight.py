@@ -110,18 +110,10 @@ def load_trajectory(project: Project) -> Trajectory:
     InputError
         If there is none.
     """
-    import numpy as np
-
-    from georef_gis.errors import InputError
+    from georef_gis.navigate.columns_file import kind_of
 
     path = project.navigation / TRAJECTORY
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            kind = str(file["kind"])
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            "holds no trajectory; name logs in [logs] and run `georef run`", source=str(path)
-        ) from error
+    kind = kind_of(path)
     if kind == "inertial":
         from georef_gis.navigate.trajectory import InertialTrajectory
 
