@@ -8,9 +8,11 @@ one step the position moves by the velocity, so ``dp - v dt`` holds the white no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from georef_gis.ellipsoid import Origin
 from georef_gis.errors import NavigationError
@@ -79,7 +81,11 @@ def measured_scatter(gnss: GnssLog) -> Array | None:
         if np.isfinite(gnss.covariance_v_ned[:, 0, 0]).any()
         else np.full(3, SIGMA_VELOCITY)
     )
-    usual = dt < min(LONGEST_STEP, 1.5 * float(np.median(dt)))
+    # fixes logged twice have no step between them
+    real = dt > 1e-3
+    if not real.any():
+        return None
+    usual = real & (dt < min(LONGEST_STEP, 1.5 * float(np.median(dt[real]))))
     if not np.isfinite(gnss.v_ned[:, 0]).any():
         return _scatter_of_positions(p, dt)
     step = np.diff(p, axis=0) - 0.5 * (gnss.v_ned[1:] + gnss.v_ned[:-1]) * dt[:, None]
@@ -143,6 +149,9 @@ def prepare_fixes(
     NavigationError
         If there is no fix at all.
     """
+    whole = np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & np.isfinite(gnss.height)
+    if not whole.all():
+        gnss = _rows(gnss, whole)
     if len(gnss) < 2:
         raise NavigationError(f"{gnss.source}: {len(gnss)} GNSS fixes; a trajectory needs two")
     stated = stated_covariance(gnss)
@@ -158,6 +167,16 @@ def prepare_fixes(
     R_v[level, 2, 2] = 10.0**2
     p_geo = np.stack([gnss.lat, gnss.lon, ellipsoidal_heights(gnss, geoid=geoid)], axis=-1)
     return Fixes(time=gnss.time - latency, p_geo=p_geo, R_p=R_p, v=v, R_v=R_v, slow=slow)
+
+
+def _rows(gnss: GnssLog, chosen: NDArray[np.bool_]) -> GnssLog:
+    """Some of the fixes of a log."""
+    columns: dict[str, Any] = {
+        item.name: value[chosen]
+        for item in fields(gnss)
+        if isinstance(value := getattr(gnss, item.name), np.ndarray)
+    }
+    return replace(gnss, **columns)
 
 
 def _split(stated: Array, white: Array | None, slow: float | None) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import NavigationError
-from georef_gis.navigate.resample import metres_per_radian
+from georef_gis.navigate.resample import metres_per_radian, sigma_rpy_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -139,6 +139,49 @@ def plan_figure(comparison: Comparison) -> Figure:
     axis.set(xlabel="East (m)", ylabel="North (m)")
     _grid(axis)
     _finish(figure, [axis], title="Plan view", time=False)
+    return figure
+
+
+def single_attitude_figure(log: TrajectoryLog) -> Figure:
+    """Roll, pitch and yaw of one trajectory, with the largest sigma of each."""
+    t = log.time - log.time[0]
+    sigma = np.degrees(sigma_rpy_of(log))
+    figure, axes = _stack(3, height=8.0, title="Attitude")
+    for i, (axis, name) in enumerate(zip(axes, ("Roll", "Pitch", "Yaw"), strict=True)):
+        angle = np.degrees(log.rpy[:, i])
+        if i == 2:
+            axis.plot(*_broken_at_wrap(t, angle), **{**_ESTIMATE, "label": "smoothed"})
+            axis.set_ylim(0, 360)
+            axis.set_yticks(range(0, 361, 90))
+        else:
+            _line(axis, t, angle, {**_ESTIMATE, "label": "smoothed"})
+        worst = float(np.nanmax(sigma[:, i])) if np.isfinite(sigma[:, i]).any() else np.nan
+        axis.set_ylabel(f"{name} (deg)")
+        axis.set_title(f"largest sigma {worst:.2g} deg", loc="right", fontsize=9)
+    _finish(figure, axes)
+    return figure
+
+
+def nis_figure(time: Array, nis: Array) -> Figure:
+    """Normalised innovations squared of GNSS positions and velocities over three.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+    nis : shape (n, 2)
+        Negative for a fix that disagreed and counted less; NaN where there is none.
+    """
+    t = time - time[0]
+    figure, axes = _stack(2, height=6.0, title="How well the fixes agree with the IMU")
+    for i, (axis, name) in enumerate(zip(axes, ("Position", "Velocity"), strict=True)):
+        good, bad = nis[:, i] >= 0.0, nis[:, i] < 0.0
+        axis.plot(t[good], nis[good, i] / 3.0, ".", color=BLUE, markersize=2, label="accepted")
+        if bad.any():
+            axis.plot(t[bad], -nis[bad, i] / 3.0, "x", color=ORANGE, label="counted less")
+        axis.axhline(1.0, color=BLACK, linewidth=0.8, label="expected mean")
+        axis.set_yscale("log")
+        axis.set_ylabel(f"{name}: NIS / 3")
+    _finish(figure, axes)
     return figure
 
 

@@ -27,6 +27,8 @@ LADDER = ((1.0, 1.0), (3.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0), (100
 STEP = math.sqrt(10.0)
 # log-likelihood by which another noise must be better to be preferred
 WORTH = 4.0
+# factors on the noise of gyro and accelerometer that look like wrong axes
+SUSPECT = (90.0, 250.0)
 # s; how much of a flight is looked at
 STRETCH = 600.0
 # s; delays that are tried, and how finely the best is sought
@@ -61,6 +63,7 @@ class Tuned:
     delay: Delay | None
     noise_factors: tuple[float, float]
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def tune(
@@ -98,7 +101,18 @@ def tune(
         found = replace(found, seconds=total)
         notes.append(f"GNSS fixes are stamped {1e3 * total:.0f} +- {1e3 * found.sigma:.0f} ms late")
     return Tuned(
-        settings=settings, fixes=fixes, delay=found, noise_factors=factors, notes=tuple(notes)
+        settings=settings, fixes=fixes, delay=found, noise_factors=factors, notes=tuple(notes),
+        doubts=_doubts(factors),
+    )  # fmt: skip
+
+
+def _doubts(factors: tuple[float, float]) -> tuple[str, ...]:
+    """What so much noise may be instead."""
+    if factors[0] < SUSPECT[0] and factors[1] < SUSPECT[1]:
+        return ()
+    return (
+        f"the IMU is {factors[0]:.3g} (gyro) and {factors[1]:.3g} (accelerometer) times as noisy "
+        "as stated: strong vibration or aerobatics, or its axes, units or clock are wrong",
     )
 
 

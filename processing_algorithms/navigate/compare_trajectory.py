@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from georef_gis.model.logs import FlightLogs, TrajectoryLog
     from georef_gis.navigate.compare import Comparison
 
-# Name that stands for the trajectory of the project itself.
-PROJECT = "project"
 # Its presence tells a folder of ours from one that must not be replaced.
 SUMMARY = "comparison.json"
 
@@ -22,7 +20,7 @@ class CompareTrajectoryParameters(p.Parameters):
     """Parameters of `compare_trajectory`."""
 
     estimate: p.File = p.file(
-        title="Trajectory to judge: a log, or 'project' for the project's own", positional=True
+        title="Trajectory to judge: a log, or the folder of a project for its own", positional=True
     )
     reference: p.File = p.file(title="Trajectory taken as the truth", positional=True)
     target: p.Folder | None = p.folder(
@@ -81,9 +79,9 @@ class CompareTrajectory(Algorithm[CompareTrajectoryParameters]):
         _refuse_both(parameters)
         if parameters.target is not None:
             refuse_foreign(parameters.target)
-        estimate = _load(parameters.estimate, context)
+        estimate = _load(parameters.estimate)
         feedback.progress(0.2, "estimate read")
-        reference = _load(parameters.reference, context)
+        reference = _load(parameters.reference)
         feedback.progress(0.4, "reference read")
         shift = None if parameters.find_time_shift else parameters.time_shift
         comparison = compare_trajectories(
@@ -99,7 +97,7 @@ class CompareTrajectory(Algorithm[CompareTrajectoryParameters]):
         told = summary(comparison)
         outputs: dict[str, Path] = {}
         if parameters.target is not None:
-            files = _pictures(comparison, parameters, context)
+            files = _pictures(comparison, parameters)
             files["statistics.csv"] = _csv([asdict(row) for row in found])
             files[SUMMARY] = _json(told)
             check_cancelled(feedback)
@@ -113,16 +111,16 @@ class CompareTrajectory(Algorithm[CompareTrajectoryParameters]):
         return Result(outputs=outputs, summary=told)
 
 
-def _load(path: Path, context: Context) -> TrajectoryLog:
-    """Trajectory that a parameter names: a log, or `project`."""
+def _load(path: Path) -> TrajectoryLog:
+    """Trajectory that a parameter names: a log, or that of a project."""
     from georef_gis.errors import InputError
     from georef_gis.ingest.logs.trajectory_table import (
         is_trajectory_table,
         read_trajectory_table,
     )
 
-    if str(path) == PROJECT and not path.exists():
-        return _project_trajectory(context)
+    if path.is_dir() or path.name == "project.toml":
+        return _project_trajectory(path)
     try:
         with open(path, "rb") as stream:
             head = stream.read(65536)
@@ -135,12 +133,12 @@ def _load(path: Path, context: Context) -> TrajectoryLog:
     return trajectory_of_logs(read_log(path))
 
 
-def _project_trajectory(context: Context) -> TrajectoryLog:
-    """The project's own trajectory: the one place to join it on."""
-    from georef_gis.errors import InputError
+def _project_trajectory(path: Path) -> TrajectoryLog:
+    """Trajectory that `georef navigate` made of a project's logs."""
+    from georef_gis.project import Project
+    from processing_algorithms.navigate.flight import load_trajectory, trajectory_log
 
-    context.require_project()
-    raise InputError("holds no trajectory to compare; give a file of one", source=PROJECT)
+    return trajectory_log(load_trajectory(Project.open(path, read_only=True)))
 
 
 def trajectory_of_logs(logs: FlightLogs) -> TrajectoryLog:
@@ -251,12 +249,10 @@ def _account(comparison: Comparison) -> list[str]:
     return lines
 
 
-def _pictures(
-    comparison: Comparison, parameters: CompareTrajectoryParameters, context: Context
-) -> dict[str, bytes]:
+def _pictures(comparison: Comparison, parameters: CompareTrajectoryParameters) -> dict[str, bytes]:
     from georef_gis.navigate.plots import comparison_pictures
 
-    raw = None if parameters.raw is None else _load(parameters.raw, context)
+    raw = None if parameters.raw is None else _load(parameters.raw)
     return comparison_pictures(comparison, raw=raw)
 
 

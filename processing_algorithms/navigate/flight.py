@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from georef_gis.model.logs import FlightLogs
+    from georef_gis.model.logs import FlightLogs, TrajectoryLog
     from georef_gis.model.pose import Mount
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.settings import NavigationSettings
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # The trajectory in the project's folder `navigation`.
 TRAJECTORY = "trajectory.npz"
+TABLE = "trajectory.csv"
+PLOTS = "plots"
 EXPOSURES = "exposures.npz"
 # Parts of [logs] that name one file each, and what is taken from it
 PARTS = {"imu": "imu", "gnss": "gnss", "attitude": "attitude", "trajectory": "trajectory"}
@@ -125,6 +127,29 @@ def load_trajectory(project: Project) -> Trajectory:
     from georef_gis.navigate.table_trajectory import TableTrajectory
 
     return TableTrajectory.load(path)
+
+
+def trajectory_log(trajectory: Trajectory, rate: float = 10.0) -> TrajectoryLog:
+    """Trajectory as rows at a rate (Hz) with covariances, of the IMU; gaps are left out."""
+    import numpy as np
+
+    from georef_gis.frames import rpy_from_R_ned_from_body
+    from georef_gis.model.logs import TrajectoryLog
+
+    first, last = trajectory.span
+    times = np.arange(math.ceil(first * rate), math.floor(last * rate) + 1) / rate
+    times = np.array([t for t in times if not trajectory.why_not(float(t))])
+    states = trajectory.at(times)
+    return TrajectoryLog(
+        time=times,
+        source=TRAJECTORY,
+        lat=states.p_geo[:, 0],
+        lon=states.p_geo[:, 1],
+        height=states.p_geo[:, 2],
+        v_ned=states.v_ned,
+        rpy=rpy_from_R_ned_from_body(states.R_ned_from_body),
+        covariance=states.covariance,
+    )
 
 
 def words(*groups: Sequence[str]) -> list[str]:

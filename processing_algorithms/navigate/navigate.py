@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from georef_gis.model.logs import FlightLogs
+    from georef_gis.model.trajectory import Trajectory
     from georef_gis.project import Project
 
 
@@ -28,6 +30,9 @@ class NavigateParameters(p.Parameters):
         title="Fail where a log cannot be used",
         help="otherwise the photos keep the poses of their tags, and a warning says why",
     )
+    plots: p.Flag = p.flag(
+        False, title="Write pictures of attitude, position and innovations to navigation/plots"
+    )
 
 
 class Navigate(Algorithm[NavigateParameters]):
@@ -40,10 +45,14 @@ class Navigate(Algorithm[NavigateParameters]):
 
     id, name, group = "navigate", "Trajectory from the logs", "navigate"
     needs, gives = ("photos",), ("trajectory",)
-    outputs = (Output(name="trajectory", title="Trajectory (columns of numbers, .npz)"),)
+    outputs = (
+        Output(name="trajectory", title="Trajectory (columns of numbers, .npz)"),
+        Output(name="table", title="Trajectory at 10 Hz as CSV"),
+        Output(name="plots", title="Pictures", type="Folder"),
+    )
     in_run = True
     in_quick = False
-    uses_settings = ("logs", "imu", "gnss", "mount")
+    uses_settings = ("logs", "imu", "gnss", "mount", "attitude")
 
     def inputs(self, context: Context, parameters: NavigateParameters) -> Sequence[Path]:
         """The logs."""
@@ -53,51 +62,84 @@ class Navigate(Algorithm[NavigateParameters]):
 
     def run(self, context: Context, parameters: NavigateParameters, feedback: Feedback) -> Result:
         """Read, filter, smooth."""
-        from processing_algorithms.navigate.flight import TRAJECTORY, log_files
+        from processing_algorithms.navigate.flight import log_files
 
         project = context.require_project()
-        path = project.navigation / TRAJECTORY
         if not log_files(project):
-            path.unlink(missing_ok=True)
+            _forget(project)
             return Result(summary={})
         try:
-            summary = _navigate(project, parameters.map, path, feedback)
+            outputs, summary = _navigate(project, parameters, feedback)
         except Cancelled:
             raise
         except GeorefError as error:
-            path.unlink(missing_ok=True)
+            _forget(project)
             if parameters.strict:
                 raise
             line = f"the logs are not used, poses come from the tags: {error}"
             feedback.warn(line)
             return Result(summary={"doubts": [line]})
-        return Result(outputs={"trajectory": path}, summary=summary)
+        return Result(outputs=outputs, summary=summary)
+
+
+def _forget(project: Project) -> None:
+    """Drop what an earlier run made: its logs are gone or cannot be used."""
+    from processing_algorithms.navigate.flight import TABLE, TRAJECTORY
+
+    for name in (TRAJECTORY, TABLE):
+        (project.navigation / name).unlink(missing_ok=True)
 
 
 def _navigate(
-    project: Project, maps: Sequence[str], path: Path, feedback: Feedback
-) -> dict[str, Any]:
-    from processing_algorithms.navigate.flight import read_project_logs, words
+    project: Project, parameters: NavigateParameters, feedback: Feedback
+) -> tuple[dict[str, Path], dict[str, Any]]:
+    from georef_gis.toolbox.context import check_cancelled
+    from processing_algorithms.navigate.flight import TRAJECTORY, read_project_logs, words
 
     feedback.progress(0.05, "reading logs")
-    logs = read_project_logs(project, maps)
+    logs = read_project_logs(project, parameters.map)
+    check_cancelled(feedback)
     feedback.progress(0.3, "filtering")
     trajectory, notes = _trajectory(project, logs)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    trajectory.save(path)
+    check_cancelled(feedback)
+    project.navigation.mkdir(parents=True, exist_ok=True)
+    outputs = {"trajectory": project.navigation / TRAJECTORY}
+    trajectory.save(outputs["trajectory"])
+    outputs |= _tell(project, trajectory, logs, plots=parameters.plots)
     doubts = words(logs.doubts, trajectory.doubts)
     for doubt in doubts:
         feedback.warn(doubt)
     for note in notes:
         feedback.info(note)
     first, last = trajectory.span
-    return {
+    return outputs, {
         "logs": logs.format,
         "duration_s": round(last - first, 1),
         "start_gps": round(first, 3),
         "notes": list(notes),
         "doubts": doubts,
     }
+
+
+def _tell(
+    project: Project, trajectory: Trajectory, logs: FlightLogs, *, plots: bool
+) -> dict[str, Path]:
+    """Table for people and other programs, and the pictures where they are asked for."""
+    from georef_gis.ingest.logs.trajectory_table import write_trajectory_table
+    from processing_algorithms.navigate.flight import PLOTS, TABLE, trajectory_log
+    from processing_algorithms.navigate.pictures import write_pictures
+
+    log = trajectory_log(trajectory)
+    table = project.navigation / TABLE
+    part = table.with_name(table.name + ".part")
+    with part.open("wb") as stream:
+        write_trajectory_table(stream, log)
+    part.replace(table)
+    if not plots:
+        return {"table": table}
+    folder = project.navigation / PLOTS
+    write_pictures(folder, log, logs, trajectory)
+    return {"table": table, "plots": folder}
 
 
 def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
@@ -128,8 +170,6 @@ def _finished(logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
 
 
 def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
-    from dataclasses import replace
-
     from georef_gis.navigate.gnss_noise import prepare_fixes
     from georef_gis.navigate.inertial_solution import smooth_flight
     from georef_gis.navigate.tuning import tune
@@ -146,7 +186,8 @@ def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]
     aids = _aids(project, logs)
     trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, aids)
     notes = (*trajectory.notes, *tuned.notes, *_gnss_notes(fixes.slow))
-    return replace(trajectory, notes=notes), notes
+    doubts = (*trajectory.doubts, *tuned.doubts)
+    return replace(trajectory, notes=notes, doubts=doubts), notes
 
 
 def _gnss_notes(slow: Any) -> tuple[str, ...]:
@@ -163,17 +204,31 @@ def _aids(project: Project, logs: FlightLogs) -> tuple[Any, ...]:
 
 
 def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    import math
+
+    import numpy as np
+
+    from georef_gis.navigate.attitude_track import AttitudeSettings
     from georef_gis.navigate.gnss_noise import prepare_fixes
-    from georef_gis.navigate.kinematic import KinematicTrajectory
+    from georef_gis.navigate.kinematic import KinematicSettings
+    from georef_gis.navigate.kinematic_solution import smooth_fixes
 
     assert logs.gnss is not None
-    gnss = project.settings.gnss
+    gnss, stated = project.settings.gnss, project.settings.attitude
     fixes = prepare_fixes(
         logs.gnss, slow_sigma=gnss.slow_sigma_m, latency=gnss.latency_s or 0.0, geoid=gnss.geoid
     )
-    trajectory = KinematicTrajectory.fit(fixes, logs.attitude)
-    what = "with the logged attitude" if logs.attitude is not None else "attitude from the course"
-    return trajectory, (f"GNSS alone, {what}",)
+    attitude = AttitudeSettings()
+    if stated.sigma_roll_pitch_deg is not None:
+        attitude = replace(attitude, sigma_roll_pitch=math.radians(stated.sigma_roll_pitch_deg))
+    if stated.sigma_yaw_deg is not None:
+        attitude = replace(attitude, sigma_yaw=math.radians(stated.sigma_yaw_deg))
+    arm = np.array(project.settings.mount.lever_arm_antenna_m)
+    settings = KinematicSettings(
+        attitude=attitude, lever_arm_body_antenna=arm, slow_tau=gnss.slow_tau_s
+    )
+    trajectory = smooth_fixes(fixes, logs.attitude, settings)
+    return trajectory, trajectory.notes
 
 
 def _report_filter(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from georef_gis.geodesy import MapFrame
     from georef_gis.model.logs import EventLog
     from georef_gis.model.photo import Photo
-    from georef_gis.model.pose import Pose
+    from georef_gis.model.pose import Mount, Pose
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.exposure_poses import ExposurePoses
     from georef_gis.navigate.exposures import ExposureTimes
@@ -190,14 +190,20 @@ class _Work:
         order = sorted(usable, key=lambda i: float(found.time[i]))
         times = found.time[order]
         ids = [photos[i].id for i in order]
-        gimbal = self.project.settings.mount.gimbal
-        held = [self.tags.get(name) for name in ids] if gimbal else None
+        mount = project_mount(self.project)
+        held = self._held(ids, times, mount)
         result = exposure_poses(
-            self.trajectory, ids, times, _time_variance(found, order), project_mount(self.project),
-            self.frame.origin, sigma_datum=self.frame.datum_sigma, held=held,
+            self.trajectory, ids, times, _time_variance(found, order), mount, self.frame.origin,
+            sigma_datum=self.frame.datum_sigma, held=held,
         )  # fmt: skip
         self.joint.append(result)
         lines = []
+        kept = sum(pose is not None for pose in held)
+        if kept and not self.project.settings.mount.gimbal:
+            self.notes.append(
+                f"{kept} of {len(ids)} photos keep the angles of their tags, which are surer than "
+                "those of the trajectory"
+            )
         shift, line = self._height_shift(result)
         if line:
             lines.append(line)
@@ -216,6 +222,21 @@ class _Work:
         if unsure:
             lines.append(f"{unsure} of {len(order)} exposure times are less than 99 % sure")
         return lines + self._mount_check()
+
+    def _held(self, ids: Sequence[str], times: Array, mount: Mount) -> list[Pose | None]:
+        """Poses of the tags whose angles are to be kept: a gimbal's, or surer ones."""
+        import numpy as np
+
+        if self.project.settings.mount.gimbal:
+            return [self.tags.get(name) for name in ids]
+        own = self.trajectory.at(times).covariance
+        spread = np.trace(own[:, 3:, 3:], axis1=1, axis2=2) + 3.0 * mount.sigma_boresight**2
+        out: list[Pose | None] = []
+        for name, variance in zip(ids, spread, strict=True):
+            tag = self.tags.get(name)
+            better = tag is not None and np.trace(tag.covariance[3:, 3:]) < variance
+            out.append(tag if better else None)
+        return out
 
     def _height_shift(self, result: ExposurePoses) -> tuple[float, str]:
         """What brings the trajectory's heights onto those the ground was derived from, m.
