@@ -27,4 +27,5 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -c "open('$(VENV)/installed', 'w').close()"
 
 clean:
-	$(PYTHON) -c "import shutil; [shutil.rmtree(p, ignore_errors=True) for p in ('$(VENV)', 'sample_project/products', 'sample_project/cache')]"
+	$(PYTHON) -c "import shutil; [shutil.rmtree(p, ignore_errors=True) for p in ('$(VENV)', 'sample_project/products', 'sample_project/cache', 'sample_project/navigation')]"
+	$(PYTHON) -c "import pathlib; [f.unlink() for f in pathlib.Path('georef_gis').rglob('*.nb?')]"
