@@ -11,7 +11,8 @@ import calendar
 import datetime
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ from scipy.optimize import least_squares
 
 from georef_gis.errors import InputError, NavigationError
 from georef_gis.frames import Array, R_ned_from_body
-from georef_gis.model.logs import AidLog
+from georef_gis.model.logs import AidLog, IntArray
 
 # rad, one sigma of a calibrated compass: soft iron, currents of the motors
 SIGMA_COMPASS = math.radians(10.0)
@@ -40,6 +41,16 @@ MOST_SCATTER = 0.3
 NOTABLE_SCATTER = 0.1
 FEWEST_SAMPLES = 50
 MOST_SAMPLES = 3000
+# of the spread of the samples; one that differs less from the last tells nothing new
+NEW_SAMPLE = 0.05
+# samples among which those that differ are looked for
+MOST_READ = 20000
+# other axes must fit with this share of the scatter to be believed
+OTHER_AXES = 0.5
+# samples on which other axes are tried
+TRIED_SAMPLES = 300
+# rad, one sigma of no heading at all
+SIGMA_ANY = math.pi / math.sqrt(3.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +74,7 @@ class HardIron:
     total: float
     scatter: float
     why_not: str = ""
+    useless: bool = False
 
 
 def earth_field(place: ArrayLike, date: datetime.date | float, source: str = "") -> EarthField:
@@ -129,7 +141,9 @@ def fit_hard_iron(field: Array, roll_pitch: Array, earth: EarthField) -> HardIro
     """
     if len(field) < FEWEST_SAMPLES:
         return _no_fit(field, f"{len(field)} samples")
-    rows = np.linspace(0, len(field) - 1, min(len(field), MOST_SAMPLES)).astype(int)
+    rows = _telling(field, MOST_SAMPLES)
+    if len(rows) < FEWEST_SAMPLES:
+        return _no_fit(field, f"{len(rows)} samples that differ")
     m, down = field[rows], _levelled_axes(roll_pitch[rows])[:, 2]
     unit = float(np.median(np.linalg.norm(m - np.median(m, axis=0), axis=1)))
     if not unit > 0.0:
@@ -153,8 +167,50 @@ def fit_hard_iron(field: Array, roll_pitch: Array, earth: EarthField) -> HardIro
         return _no_fit(field, "its samples lie on no circle")
     left = misfit(fit.x) * unit
     scatter = float(np.sqrt(np.mean(left**2))) / level
-    why = _why_no_circle(m - offset, roll_pitch[rows], scatter)
-    return HardIron(offset=offset, total=total, scatter=scatter, why_not=why)
+    found = HardIron(offset=offset, total=total, scatter=scatter)
+    if scatter > MOST_SCATTER:
+        why = f"its samples scatter by {100 * scatter:.0f} % of the Earth's level field"
+        return replace(found, why_not=why, useless=True)
+    return replace(found, why_not=_why_no_circle(m - offset, roll_pitch[rows]))
+
+
+def _telling(field: Array, most: int) -> IntArray:
+    """Rows that differ from the one before: waiting on the ground must not outweigh the turns."""
+    spread = np.linalg.norm(field - np.median(field, axis=0), axis=1)
+    least = NEW_SAMPLE * float(np.quantile(spread, 0.9))
+    kept, last = [0], field[0]
+    for i in range(1, len(field), max(1, len(field) // MOST_READ)):
+        d = field[i] - last
+        if d @ d > least * least:
+            kept.append(i)
+            last = field[i]
+    rows = np.array(kept, dtype=np.int64)
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.int64)]
+
+
+def likelier_axes(field: Array, roll_pitch: Array, earth: EarthField, scatter: float) -> str:
+    """Axes, in words, with which a magnetometer fits far better than with its own; else empty.
+
+    A turn about the vertical shows in no circle; of axes that differ so the nearest are named.
+    """
+    rows = _telling(field, TRIED_SAMPLES)
+    tried = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            M = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            fit = fit_hard_iron(field[rows] @ M.T, roll_pitch[rows], earth)
+            if math.isfinite(fit.scatter) and not fit.why_not:
+                tried.append((fit.scatter, M))
+    good = [(s, M) for s, M in tried if s < OTHER_AXES * scatter]
+    if not good:
+        return ""
+    best = min(s for s, _ in good)
+    near = [M for s, M in good if s < 1.3 * best]
+    # right-handed first, then most like what is logged
+    M = max(near, key=lambda M: (round(float(np.linalg.det(M))), float(np.trace(M))))
+    columns = [int(np.argmax(np.abs(row))) for row in M]
+    names = [("-" if row[c] < 0 else "") + "xyz"[c] for row, c in zip(M, columns, strict=True)]
+    return ", ".join(names)
 
 
 def _no_fit(field: Array, why: str) -> HardIron:
@@ -163,14 +219,12 @@ def _no_fit(field: Array, why: str) -> HardIron:
     )
 
 
-def _why_no_circle(free: Array, roll_pitch: Array, scatter: float) -> str:
+def _why_no_circle(free: Array, roll_pitch: Array) -> str:
     heading = _level_angle(free, roll_pitch)
     sector = np.floor((heading + math.pi) / (2.0 * math.pi) * SECTORS).astype(int) % SECTORS
     seen = np.bincount(sector, minlength=SECTORS) > SECTOR_SHARE * len(free)
     if np.count_nonzero(seen) < FEWEST_SECTORS:
         return f"the flight headed into {np.count_nonzero(seen)} of {SECTORS} sectors only"
-    if scatter > MOST_SCATTER:
-        return f"its samples scatter by {100 * scatter:.0f} % of the Earth's level field"
     return ""
 
 
@@ -237,6 +291,11 @@ def headings_from_magnetometer(
         )
     field, angles = aid.value[good], angles[good]
     iron = fit_hard_iron(field, angles, earth)
+    if iron.scatter > NOTABLE_SCATTER:
+        axes = likelier_axes(field, angles, earth, iron.scatter)
+        if axes:
+            why = f"its axes look like ({axes}) of what is logged; give them in the column map"
+            iron = replace(iron, why_not=why, useless=True)
     sigma, doubts = _worth(iron, earth)
     heading = _level_angle(field - iron.offset if not iron.why_not else field, angles)
     heading = heading + earth.declination
@@ -258,10 +317,10 @@ def _worth(iron: HardIron, earth: EarthField) -> tuple[float, list[str]]:
     if weak > 1.0:
         doubts.append(f"compass: the Earth's level field is weak here, {earth.level:.0f} nT")
     if iron.why_not:
-        sigma = SIGMA_UNCALIBRATED
+        sigma = SIGMA_ANY if iron.useless else SIGMA_UNCALIBRATED
         doubts.append(
             f"compass: the vehicle's own field is not known, {iron.why_not}; headings are taken "
-            f"to {math.degrees(sigma * weak):.0f} deg"
+            f"to {math.degrees(min(sigma * weak, SIGMA_ANY)):.0f} deg"
         )
     else:
         sigma = math.hypot(SIGMA_COMPASS, iron.scatter)
@@ -270,4 +329,4 @@ def _worth(iron: HardIron, earth: EarthField) -> tuple[float, list[str]]:
                 f"compass: its samples scatter by {100 * iron.scatter:.0f} % of the Earth's level "
                 "field; check its axes and what lies near it"
             )
-    return min(sigma * weak, math.pi / math.sqrt(3.0)), doubts
+    return min(sigma * weak, SIGMA_ANY), doubts

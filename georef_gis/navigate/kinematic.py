@@ -246,8 +246,9 @@ class KinematicTrajectory:
         """
         again = "run `georef navigate` again"
         try:
-            with np.load(path, allow_pickle=False) as file:
-                columns = {name: file[name] for name in file.files}
+            # opened here: numpy leaves a file open that it cannot read
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                columns = {name: held[name] for name in held.files}
             kind = str(columns.pop("kind", "inertial"))
             if kind != KIND:
                 raise InputError(f"holds a trajectory of kind {kind!r}; {again}", source=str(path))
