@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from georef_gis.errors import NavigationError
-from georef_gis.frames import Array
+from georef_gis.frames import Array, exp_so3
 from georef_gis.model.logs import AidLog, ImuLog
 from georef_gis.navigate.alignment import (
     FARTHEST_BACK,
     SIGMA_ANY,
+    SIGMA_COURSE,
     Alignment,
     align,
     carried_back,
@@ -29,6 +30,18 @@ from georef_gis.navigate.trajectory import InertialTrajectory
 
 # Times of the nodes, and the fix at each
 Nodes = tuple[Array, NDArray[np.int64]]
+# places of the variances of level and heading in a packed covariance: rows 6, 7 and 8
+LEVEL = (27, 35)
+HEADING = 44
+# m/s2
+GRAVITY = 9.80665
+# Attitude, gyro bias, its sigma and that of the heading at the start of a stretch
+_First = tuple[Array, Array, float, float]
+# share of its prior sigma that a heading must come down to, to be more than the prior again
+WEAK_HEADING = 0.3
+# rad/s and m/s2; no MEMS unit has a bias like this: axes or units are wrong
+WILD_GYRO = math.radians(1.5)
+WILD_ACCEL = 2.0
 # s; how much of the log the first attitude is refined on
 FIRST_STRETCH = 60.0
 # rad, one sigma of a first heading: wide enough to count the first stretch only once
@@ -42,6 +55,8 @@ LEAST_BIAS = math.radians(20.0) / 3600.0
 MOST_DISAGREE = 1.0 / 3.0
 # times the first stretch is smoothed at most
 ROUNDS = 3
+# rad, one sigma of a level that a first stretch has found
+START_LEVEL = math.radians(1.5)
 # a probability that refuses only what is absurd, until the filter has settled
 OPEN_GATE = 1e-12
 # m/s2 and rad/s, one sigma of what a vehicle may do unseen in a gap of the IMU
@@ -193,6 +208,9 @@ def _prior(layout: _Layout, fixes: Fixes, start: float, aligned: Alignment, R: A
     P[3:6, 3:6] = min(sigma_v + 5.0 * away, 40.0) ** 2 * np.eye(3)
     P[6:8, 6:8] = (aligned.sigma_level + drift) ** 2 * np.eye(2)
     P[8, 8] = min(aligned.sigma_heading + drift, SIGMA_ANY) ** 2
+    if aligned.sigma_heading >= SIGMA_ANY:
+        # any heading will do for a vehicle that does not move, and a linear filter needs one
+        P[8, 8] = START_HEADING**2
     return nav_of(fixes.p_geo[i], v, R), x, P
 
 
@@ -279,6 +297,9 @@ def smooth_flight(
     nav, x = np.empty((m, 15)), np.empty((m, size))
     smoothed = np.empty_like(passed[4])
     run_smoother(nodes[0], jump, model, passed, nav, x, smoothed)
+    _refuse_wild_biases(x, layout, imu.source)
+    if aligned.sigma_heading >= SIGMA_COURSE and not any(aid.kind == "heading" for aid in aids):
+        _floor_attitude(aligned, settings, (passed[4], smoothed))
     return InertialTrajectory(
         imu=table, nodes=nodes[0], nav=nav, x=x, post_nav=passed[2], post_x=passed[3],
         filtered=passed[4], smoothed=smoothed, transitions=passed[5], jump=jump, model=model,
@@ -298,6 +319,38 @@ def _refuse_disagreement(chi: Array, source: str) -> None:
                 f"{source or 'IMU log'}: {100 * share:.0f} % of the GNSS {name} disagree with the "
                 "IMU; check its axes and units, whether it saturates, and the clocks of both logs"
             )
+
+
+def _floor_attitude(
+    aligned: Alignment, settings: NavigationSettings, packed: Sequence[Array]
+) -> None:
+    """Widen the attitude of a flight without a turn or change of speed, in place.
+
+    There a tilt cannot be told from an accelerometer's bias, nor the heading from anything. The
+    filter's heading wanders while it settles, and a linear filter takes its own wandering for a
+    turn of the vehicle that separates the two: what it claims to know is chance.
+    """
+    level = settings.imu.accel_bias / GRAVITY
+    for rows in packed:
+        for column in LEVEL:
+            rows[:, column] = np.maximum(rows[:, column], level**2)
+        rows[:, HEADING] = np.maximum(rows[:, HEADING], aligned.sigma_heading**2)
+
+
+def _refuse_wild_biases(x: Array, layout: _Layout, source: str) -> None:
+    """Raise where the biases that make the fixes agree are none of an IMU's."""
+    gyro = float(np.max(np.abs(np.median(x[:, :3], axis=0))))
+    accel = float(np.max(np.abs(np.median(x[:, 3:6], axis=0))))
+    if gyro > max(WILD_GYRO, 8.0 * layout.prior[9] ** 0.5):
+        found = f"a gyro bias of {math.degrees(gyro):.1f} deg/s"
+    elif accel > max(WILD_ACCEL, 8.0 * layout.prior[12] ** 0.5):
+        found = f"an accelerometer bias of {accel:.1f} m/s2"
+    else:
+        return
+    raise NavigationError(
+        f"{source or 'IMU log'}: only {found} would make it agree with the fixes; check its axes, "
+        "units and signs ([logs.columns] axes)"
+    )
 
 
 def _check_overlap(table: Array, fixes: Fixes, source: str) -> None:
@@ -325,8 +378,6 @@ def _refined(
     gyro, and the stretch from there is smoothed until its first heading stays: minutes of waiting
     on the ground and the blow of a launch would else start the filter tens of degrees off.
     """
-    if aligned.sigma_heading >= SIGMA_ANY:
-        return aligned
     settings = replace(settings, gate=OPEN_GATE)
     begin = max(float(table[0, 0]), float(fixes.time[0]), aligned.time - FARTHEST_BACK)
     end = aligned.time + FIRST_STRETCH
@@ -335,8 +386,16 @@ def _refined(
     found = _first_state(table, fixes, layout, settings, aligned, (start, end))
     if found is None:
         return aligned
-    better = replace(aligned, time=start, R_ned_from_body=found[0], sigma_heading=wide)
-    if begin >= start - SHORT_WAIT:
+    if found[3] > WEAK_HEADING * wide:
+        # what little the stretch says of the heading would be counted twice
+        turn = _heading_between(found[0], aligned.R_ned_from_body)
+        found = (np.asarray(exp_so3([0.0, 0.0, turn]) @ found[0]), *found[1:])
+    # a narrow level: while it settles, a wide one would make a heading be seen that is not
+    better = replace(
+        aligned, time=start, R_ned_from_body=found[0], sigma_heading=wide,
+        sigma_level=START_LEVEL,
+    )  # fmt: skip
+    if begin >= start - SHORT_WAIT or wide >= SIGMA_ANY:
         return better
     better = _with_bias(better, found, carried_back(table, better, found[1], begin), begin)
     for _ in range(ROUNDS):
@@ -350,9 +409,7 @@ def _refined(
     return better
 
 
-def _with_bias(
-    aligned: Alignment, found: tuple[Array, Array, float], R: Array, time: float
-) -> Alignment:
+def _with_bias(aligned: Alignment, found: _First, R: Array, time: float) -> Alignment:
     """Alignment at another time with the gyro's bias as found, its sigma wide.
 
     Over minutes of waiting the sigma of an unknown bias would make the heading anything, and the
@@ -367,8 +424,8 @@ def _with_bias(
 def _first_state(
     table: Array, fixes: Fixes, layout: _Layout, settings: NavigationSettings,
     aligned: Alignment, stretch: tuple[float, float],
-) -> tuple[Array, Array, float] | None:  # fmt: skip
-    """Smoothed attitude, gyro bias and its sigma at the start of a stretch; None if too short."""
+) -> _First | None:  # fmt: skip
+    """Smoothed state at the start of a stretch; None where it is too short."""
     nodes, fix = plan_nodes(table, fixes, stretch[0], settings.node_gap)
     keep = nodes <= stretch[1]
     m, size = int(np.count_nonzero(keep)), len(layout.prior) - 9
@@ -380,7 +437,7 @@ def _first_state(
     run_smoother(nodes[keep], jump, np.stack([layout.density, layout.tau]), passed, nav, x, packed)
     P = unpack(packed[0], 9 + size)
     sigma = math.sqrt(float(np.max(np.diag(P)[9:12])))
-    return nav[0, 6:].reshape(3, 3).copy(), x[0, :3].copy(), sigma
+    return nav[0, 6:].reshape(3, 3).copy(), x[0, :3].copy(), sigma, math.sqrt(float(P[8, 8]))
 
 
 def _heading_between(R_one: Array, R_other: Array) -> float:
@@ -401,6 +458,8 @@ def _doubts(chi: Array, nodes: Array, aligned: Alignment, unused: float) -> tupl
             )
     if aligned.sigma_heading >= SIGMA_ANY:
         out.append("the heading is not known: the vehicle never sped up or turned")
+    elif aligned.method == "course":
+        out.append("the heading is that of the course: the vehicle never turned or changed speed")
     if unused > 1.0:
         out.append(f"the first {unused:.0f} s of the IMU log are not used")
     return tuple(out)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
 from georef_gis.model.logs import ImuLog
 from georef_gis.navigate.alignment import SIGMA_ANY, Alignment, align
@@ -29,6 +30,8 @@ STEP = math.sqrt(10.0)
 WORTH = 4.0
 # factors on the noise of gyro and accelerometer that look like wrong axes
 SUSPECT = (90.0, 250.0)
+# and with which no covariance of a linear filter is true any more
+ABSURD = (250.0, 25.0)
 # s; how much of a flight is looked at
 STRETCH = 600.0
 # s; delays that are tried, and how finely the best is sought
@@ -94,6 +97,12 @@ def tune(
         fixes = replace(fixes, time=fixes.time - step.seconds)
         if not step.significant:
             break
+    if factors[0] >= ABSURD[0] and factors[1] >= ABSURD[1]:
+        raise NavigationError(
+            f"{imu.source or 'IMU log'}: agrees with the fixes only with {factors[0]:.0f} (gyro) "
+            f"and {factors[1]:.0f} (accelerometer) times the noise that is stated; check its axes, "
+            "units and signs, and its clock against that of the fixes"
+        )
     if noise and factors != (1.0, 1.0):
         notes.append(f"noise of the IMU: gyro {factors[0]:.3g}, accelerometer {factors[1]:.3g} "
                      "times what is stated")  # fmt: skip

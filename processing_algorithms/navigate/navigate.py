@@ -12,8 +12,10 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.frames import Array
     from georef_gis.model.logs import FlightLogs
     from georef_gis.model.trajectory import Trajectory
+    from georef_gis.navigate.trajectory import InertialTrajectory
     from georef_gis.project import Project
 
 
@@ -185,6 +187,9 @@ def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]
     tuned = tune(logs.imu, fixes, settings, noise=imu.tune, delay=gnss.latency_s is None)
     aids = _aids(project, logs)
     trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, aids)
+    headings = _compass(project, logs, trajectory)
+    if headings:
+        trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, (*aids, *headings))
     notes = (*trajectory.notes, *tuned.notes, *_gnss_notes(fixes.slow))
     doubts = (*trajectory.doubts, *tuned.doubts)
     return replace(trajectory, notes=notes, doubts=doubts), notes
@@ -198,9 +203,33 @@ def _gnss_notes(slow: Any) -> tuple[str, ...]:
 
 
 def _aids(project: Project, logs: FlightLogs) -> tuple[Any, ...]:
-    """Aids that [imu] use names; a magnetic field becomes headings."""
-    wanted = set(project.settings.imu.use)
-    return tuple(aid for aid in logs.aids if aid.kind in wanted and aid.kind != "magnetic_field")
+    """Aids that [imu] use names, but for a magnetic field, which needs roll and pitch first."""
+    wanted = set(project.settings.imu.use) - {"magnetic_field"}
+    return tuple(aid for aid in logs.aids if aid.kind in wanted)
+
+
+def _compass(project: Project, logs: FlightLogs, trajectory: InertialTrajectory) -> list[Any]:
+    """Headings of a magnetometer, levelled by the trajectory as far as it is known."""
+    import numpy as np
+
+    from georef_gis.frames import rpy_from_R_ned_from_body
+    from georef_gis.navigate.compass import headings_from_magnetometer
+    from georef_gis.units import utc_from_gps
+
+    fields = [aid for aid in logs.aids if aid.kind == "magnetic_field"]
+    if "magnetic_field" not in project.settings.imu.use or not fields:
+        return []
+
+    def roll_pitch(times: Array) -> Array:
+        out = np.full((len(times), 2), np.nan)
+        inside = np.array([not trajectory.why_not(float(t)) for t in times], dtype=bool)
+        nav, _ = trajectory.states(times[inside])
+        out[inside] = rpy_from_R_ned_from_body(nav[:, 6:].reshape(-1, 3, 3))[:, :2]
+        return out
+
+    place = trajectory.nav[len(trajectory.nav) // 2, :3]
+    day = utc_from_gps(trajectory.span[0]).date()
+    return [headings_from_magnetometer(aid, roll_pitch, place, day) for aid in fields]
 
 
 def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
