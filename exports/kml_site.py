@@ -15,9 +15,9 @@ ICON = "files/camera.png"
 # What a person asks of a photo; the whole table stands in ExtendedData.
 PHOTO_TABLE = (
     "time_utc", "camera_clock", "lat_deg", "lon_deg", "height_ellipsoidal_m",
-    "height_orthometric_m", "height_above_ground_m", "roll_deg", "pitch_deg", "yaw_deg",
-    "omega_deg", "phi_deg", "kappa_deg", "sigma_e_m", "sigma_n_m", "sigma_u_m", "sigma_yaw_deg",
-    "pose_kind", "gsd_m", "tilt_deg", "camera", "flight", "doubts",
+    "height_orthometric_m", "height_above_ground_m", "height_kind", "roll_deg",
+    "pitch_deg", "yaw_deg", "omega_deg", "phi_deg", "kappa_deg", "sigma_e_m", "sigma_n_m",
+    "sigma_u_m", "sigma_yaw_deg", "pose_kind", "gsd_m", "tilt_deg", "camera", "flight", "doubts",
 )  # fmt: skip
 
 

@@ -128,6 +128,7 @@ def _photo_values(
         "height_ellipsoidal_m": number(h),
         "height_orthometric_m": number(big_h),
         "height_above_ground_m": number(p.height_above_ground),
+        "sigma_above_ground_m": number(p.sigma_above_ground),
         "gsd_m": number(gsd),
         "doubts": "; ".join((*photo.doubts, *p.doubts)) or None,
     }
@@ -165,7 +166,11 @@ def _pose_values(
     cov = R_local_from_enu @ pose.covariance[:3, :3] @ R_local_from_enu.T
     view = (R_local_from_enu @ R_enu_from_cam)[:, 2]
     tilt = math.atan2(math.hypot(view[0], view[1]), -view[2])
-    return values | _ellipse(cov) | {"pose_kind": pose.kind, "tilt_deg": math.degrees(tilt)}
+    values |= {"pose_kind": pose.kind, "tilt_deg": math.degrees(tilt)}
+    values |= {"height_kind": pose.height_kind or None}
+    # The ground shares a part of the height's error, which the pose's covariance leaves out.
+    up = math.hypot(math.sqrt(max(float(cov[2, 2]), 0.0)), pose.sigma_height_shared)
+    return values | _ellipse(cov) | {"sigma_u_m": up}
 
 
 def _angle_sigmas(J: Array, R: Array, cov_enu: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from georef_gis.errors import ExportError
 from georef_gis.project.records import camera_of, footprint_of, load_frame, photo_of, pose_of
 
 if TYPE_CHECKING:
+    from georef_gis.model.pose import Pose
     from georef_gis.project import Project
 
 Row = Mapping[str, Any]
@@ -32,13 +34,14 @@ def read_site(project: Project) -> dict[str, Any]:
     prints = [row for row in database.rows("footprint") if row["geom"] is not None]
     used = {row["photo_id"]: row["pose_kind"] for row in prints}
     poses = _poses(database.rows("pose"), used)
+    ground = database.meta("ground") or {}
     mosaic = project.products / "mosaic.tif"
     shown = project.settings.products.mosaic and mosaic.is_file()
     return dict(
         name=project.settings.project.name or project.folder.name,
         frame=load_frame(database),
         photos=tuple(
-            _site_photo(project, row, poses.get(row["photo_id"]))
+            _site_photo(project, row, poses.get(row["photo_id"]), ground)
             for row in database.rows("photo")
             if row["status"] != "refused"
         ),
@@ -65,14 +68,29 @@ def _rank(row: Row) -> int:
     return POSE_KINDS.index(row["kind"]) if row["kind"] in POSE_KINDS else -1
 
 
-def _site_photo(project: Project, row: Row, pose: Row | None) -> SitePhoto:
+def _site_photo(project: Project, row: Row, pose: Row | None, ground: Row) -> SitePhoto:
     photo = replace(photo_of(row), path=project.path(row["path"]))
     if pose is None:
         return SitePhoto(photo=photo)
     # A doubt that the photo has already is not told twice.
     doubts = tuple(d for d in pose["doubts"] or () if d not in photo.doubts)
-    height = pose["height_above_ground_m"]
-    return SitePhoto(photo=photo, pose=pose_of(pose), height_above_ground=height, doubts=doubts)
+    found = pose_of(pose)
+    return SitePhoto(
+        photo=photo,
+        pose=found,
+        height_above_ground=pose["height_above_ground_m"],
+        sigma_above_ground=_sigma_above_ground(found, ground),
+        doubts=doubts,
+    )
+
+
+def _sigma_above_ground(pose: Pose, ground: Row) -> float | None:
+    """One sigma of a camera's height above the ground, m; None where the ground's is not known."""
+    if "sigma_m" not in ground:
+        return None
+    # Only poses from tags share the error of a ground that is made of the same tags.
+    apart = 0.0 if pose.kind == "tags" else ground.get("sigma_shared_m", 0.0)
+    return math.sqrt(float(pose.covariance[2, 2]) + ground["sigma_m"] ** 2 + apart**2)
 
 
 def _facts(runs: Sequence[Row]) -> dict[str, str]:

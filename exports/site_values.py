@@ -21,6 +21,8 @@ class SitePhoto:
     photo: Photo
     pose: Pose | None = None
     height_above_ground: float | None = None
+    # m, one sigma of the height above the ground: of the camera and of the ground
+    sigma_above_ground: float | None = None
     doubts: tuple[str, ...] = ()
 
 
@@ -81,8 +83,10 @@ class SiteValues:
             "datum_of_positions": str(self.frame.gnss_datum),
             "datum_of_crs": str(self.frame.crs_datum),
             "heights": "height_ellipsoidal_m is above the WGS 84 ellipsoid, height_orthometric_m "
-            "above the EGM96 geoid, height_above_ground_m above the ground; all in metres",
-            "sigmas": "one standard deviation",
+            "above the EGM96 geoid, height_above_ground_m above the ground; all in metres; "
+            "height_kind says what the first two rest on",
+            "sigmas": "one standard deviation; sigma_u_m of the heights above ellipsoid and geoid, "
+            "sigma_above_ground_m of that above the ground",
             "poses": ", ".join(kinds) or "none",
             "photos": str(len(self.photos)),
             "photos_without_place": ", ".join(self.unplaced),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
+from georef_gis.toolbox.exporter import FOLDER_LIST
 
 if TYPE_CHECKING:
     from exports.schemas import Feature
@@ -224,7 +225,7 @@ def check_target(folder: Path, originals: Sequence[Path]) -> None:
 
 def _foreign_file(folder: Path) -> str:
     """A file in a folder that its list does not name; '' if there is none."""
-    listed = {INDEX}
+    listed = {INDEX, FOLDER_LIST}
     if (folder / INDEX).is_file():
         with (folder / INDEX).open(encoding="utf-8", errors="replace", newline="") as stream:
             listed |= {str(row.get("file")) for row in csv.DictReader(stream)}

@@ -5,10 +5,13 @@ from __future__ import annotations
 import functools
 import lzma
 import math
+import threading
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import resources
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -294,8 +297,41 @@ def _is_nameless(geographic: CRS) -> bool:
     ).transformers
 
 
+class _Transformation:
+    """Best transformation between two CRSs, by a PROJ object of each thread's own.
+
+    Those of a `TransformerGroup` keep one PROJ context, which two threads must not use at once.
+    """
+
+    def __init__(self, source: CRS, target: CRS) -> None:
+        self._ends = (source, target)
+        self._local = threading.local()
+        self.accuracy = float(self.own.accuracy)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Only the two ends: another process has PROJ objects of its own."""
+        return _transformer, self._ends
+
+    @property
+    def own(self) -> Transformer:
+        """PROJ object of this thread."""
+        found: Transformer | None = getattr(self._local, "transformer", None)
+        if found is None:
+            found = self._local.transformer = _best_transformer(*self._ends)
+        return found
+
+    def transform(self, *coordinates: Array, direction: str = "FORWARD") -> Any:
+        """Transformed coordinates; a place that has none is inf."""
+        transform: Callable[..., Any] = self.own.transform
+        return transform(*coordinates, direction=direction)
+
+
 @functools.lru_cache(maxsize=32)
-def _transformer(source: CRS, target: CRS) -> Transformer:
+def _transformer(source: CRS, target: CRS) -> _Transformation:
+    return _Transformation(source, target)
+
+
+def _best_transformer(source: CRS, target: CRS) -> Transformer:
     with warnings.catch_warnings():
         # "Best transformation is not available": its accuracy is kept and reported instead.
         warnings.simplefilter("ignore", UserWarning)
@@ -354,7 +390,7 @@ class MapFrame:
             source = geographic
         self._project = _transformer(source, self.horizontal)
 
-    def _make_datum_step(self) -> Transformer | None:
+    def _make_datum_step(self) -> _Transformation | None:
         a, b = self.gnss_datum, self.crs_datum
         if not (a.is_known and b.is_known):
             return None

@@ -67,7 +67,8 @@ def ground_point_covariance(
 ) -> Array:
     """Covariance of a ground point located from one photo, m^2 in enu; shape (3, 3).
 
-    Pose (6 x 6), focal length and principal point, ground height and the click count.
+    Pose (6 x 6), focal length and principal point, ground height and the click count. The height
+    is that over the level that photo and ground share: see `Pose.sigma_height_shared`.
     """
     J_pose, J_height, J_uv = ground_point_jacobians(photo, p_enu, terrain)
     out = J_pose @ photo.pose.covariance @ J_pose.T

@@ -25,7 +25,10 @@ class Pose:
     """Exterior orientation in the project's enu.
 
     `covariance` (6, 6), m and rad, is that of `(dp_enu, dtheta_enu)` with
-    `p_true = origin_enu + dp_enu` and `R_true = Exp(dtheta_enu) @ R_enu_from_cam`.
+    `p_true = origin_enu + dp_enu` and `R_true = Exp(dtheta_enu) @ R_enu_from_cam`. Its height is
+    that above the ground, which scales distances; `sigma_height_shared`, m, one sigma, is that of
+    a shift of camera and ground together, which moves no ray: see `sigma_height`.
+    `height_kind` says in words what the height above the ellipsoid rests on.
     """
 
     origin_enu: Array
@@ -35,6 +38,8 @@ class Pose:
     # m/s and rad/s, in enu; for a rolling shutter and a time offset
     velocity_enu: Array | None = None
     rate_enu: Array | None = None
+    sigma_height_shared: float = 0.0
+    height_kind: str = ""
 
     def __post_init__(self) -> None:
         """Check shapes, finiteness, det = +1 and the covariance."""
@@ -44,6 +49,8 @@ class Pose:
         c = self.covariance
         if c.shape != (6, 6) or not np.all(np.isfinite(c)) or np.any(np.diag(c) < 0):
             raise ValueError("covariance must be a finite 6 x 6 matrix with a diagonal >= 0")
+        if not (np.isfinite(self.sigma_height_shared) and self.sigma_height_shared >= 0):
+            raise ValueError("sigma_height_shared must be a finite number >= 0, m")
 
     def cam_from_enu(self, p_enu: ArrayLike) -> Array:
         """Points in camera axes, m; shape (..., 3)."""
@@ -52,6 +59,11 @@ class Pose:
     def enu_directions(self, d_cam: ArrayLike) -> Array:
         """Directions in enu of directions in camera axes; shape (..., 3)."""
         return np.asarray(np.asarray(d_cam, float) @ self.R_enu_from_cam.T)
+
+    @property
+    def sigma_height(self) -> float:
+        """One sigma of the height above the ellipsoid, m: over the ground, and of the ground."""
+        return float(np.hypot(np.sqrt(self.covariance[2, 2]), self.sigma_height_shared))
 
     @property
     def tilt(self) -> float:

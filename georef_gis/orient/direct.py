@@ -40,7 +40,6 @@ class DirectSettings:
     """What the user adds to the tags; angles in rad, sigmas one standard deviation."""
 
     sigma_h: float | None = None
-    sigma_v: float | None = None
     sigma_roll_pitch: float | None = None
     sigma_yaw: float | None = None
     # m, one sigma; of the datum, the same for all photos of a flight
@@ -194,6 +193,8 @@ def _direct_pose(
         R_enu_from_cam=_orthonormal(R_enu_cam @ exp_so3([0.0, 0.0, -math.radians(turned)])),
         covariance=covariance,
         kind="tags",
+        sigma_height_shared=heights.sigma_shared,
+        height_kind=heights.kinds.get(photo.id, ""),
     )
     agl = float(pose.origin_enu[2] - heights.terrain.z_at(pose.origin_enu[:2]))
     _refuse_useless(photo, pose, agl)
@@ -274,15 +275,14 @@ def _covariance(
     """Covariance of (dp, dtheta) in enu; shape (6, 6), m and rad.
 
     The tilt's sigma holds about both level axes, so that it stays right at -90 deg of pitch, where
-    roll and yaw of a gimbal are one angle.
+    roll and yaw of a gimbal are one angle. The height is that above the ground.
     """
     tag = photo.geotag
     sigma_h = settings.sigma_h or (tag.sigma_h if tag else None) or SIGMA_GNSS
-    sigma_v = settings.sigma_v or heights.sigma[photo.id]
     theta_ned = np.diag(np.array([sigma_rp, sigma_rp, sigma_yaw]) ** 2)
     theta = R_enu_ned @ theta_ned @ R_enu_ned.T + np.eye(3) * mount.sigma_boresight**2
     position = np.diag(
-        np.array([sigma_h, sigma_h, sigma_v]) ** 2
+        np.array([sigma_h, sigma_h, heights.sigma[photo.id]]) ** 2
         + np.array([settings.sigma_datum, settings.sigma_datum, 0.0]) ** 2
         + mount.sigma_lever_arm**2
     )

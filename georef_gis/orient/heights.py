@@ -9,7 +9,7 @@ import numpy as np
 
 from georef_gis.errors import CrsError, InputError
 from georef_gis.frames import Array
-from georef_gis.geodesy import Height, HeightKind, Origin
+from georef_gis.geodesy import Height, HeightKind, Origin, geoid_undulation
 from georef_gis.model.photo import Photo
 from georef_gis.model.terrain import FlatTerrain, Terrain
 
@@ -18,8 +18,19 @@ SIGMA_RELATIVE_HEIGHT = 1.0
 SIGMA_FLAT_GROUND = 1.5
 # m, one sigma of a consumer receiver's height
 SIGMA_GNSS_HEIGHT = 5.0
+# m, one sigma where nothing tells how high the ground lies: any land
+SIGMA_NO_LEVEL = 1000.0
+# m; tags that give their height above take-off as the absolute one, too, are equal to this
+SAME_HEIGHT = 0.06
 # m; a logged and a computed height above ground further apart than this are doubtful
 HEIGHT_CONFLICT = 15.0
+# What a camera's height above the ellipsoid rests on where it is no tag's of stated kind.
+OVER_GROUND = "height of the ground and height above take-off"
+NO_LEVEL = "none: only the height above take-off or ground is known"
+NO_LEVEL_DOUBT = (
+    "nothing tells how high the ground lies: heights above sea level and the ellipsoid are not to "
+    "be used: set [ground] height_m or dem"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,13 +47,17 @@ class GroundSetting:
 class Heights:
     """Ellipsoidal height of each camera, m, with its sigma, and the ground beneath.
 
-    `sigma_relative` is that of the camera above the ground, m: it scales every distance.
+    `sigma` is that of the camera above the ground, m: it scales every distance. `sigma_shared`,
+    m, is that of a shift of cameras and ground together; 0 over ground of known height. `kinds`
+    says in words what each camera's height above the ellipsoid rests on.
     """
 
     cameras: Mapping[str, float]
     sigma: Mapping[str, float]
     terrain: Terrain
     source: str
+    sigma_shared: float = 0.0
+    kinds: Mapping[str, str] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     photo_doubts: Mapping[str, str] = field(default_factory=dict)
 
@@ -70,6 +85,7 @@ def solve_heights(
     *,
     kind: HeightKind | None = None,
     geoid: str = "egm96",
+    sigma_v: float | None = None,
 ) -> Heights:
     """Heights of the cameras above one ground.
 
@@ -77,19 +93,23 @@ def solve_heights(
     heights; a DEM or ground height with the heights above take-off; the heights above take-off
     alone, over flat ground at take-off level.
 
+    Parameters
+    ----------
+    kind, sigma_v
+        The user's word on the tags' heights, and their sigma, m; go before the tags' own.
+
     Raises
     ------
     InputError
         If nothing tells how high the cameras flew.
     """
-    absolute = {p.id: tag_height(p, kind, geoid) for p in photos}
-    relative = {p.id: _relative(p, kind) for p in photos}
+    tags = _Tags(photos=photos, origin=origin, kind=kind, geoid=geoid, sigma_v=sigma_v)
     if ground.height_above_ground is not None:
-        return _from_user_height(photos, origin, ground, absolute)
+        return _from_user_height(tags, ground, ground.height_above_ground)
     if ground.dem is not None or ground.height is not None:
-        return _over_known_ground(photos, origin, ground, absolute, relative)
-    if any(v is not None for v in relative.values()):
-        return _over_take_off(photos, origin, absolute, relative)
+        return _over_known_ground(tags, ground)
+    if any(v is not None for v in tags.relative.values()):
+        return _over_take_off(tags)
     raise InputError(
         "the photos state no height above take-off or ground; set height_above_ground_m, "
         "height_m or dem",
@@ -98,7 +118,100 @@ def solve_heights(
     )
 
 
-def _relative(photo: Photo, kind: HeightKind | None) -> float | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Level:
+    """An ellipsoidal height that cameras and ground share, m; what it rests on, in words."""
+
+    height: float
+    sigma: float
+    kind: str
+    doubts: tuple[str, ...] = ()
+
+
+class _Tags:
+    """What the tags say of heights: `absolute` above the ellipsoid, `relative` to the ground, m."""
+
+    def __init__(
+        self,
+        *,
+        photos: Sequence[Photo],
+        origin: Origin,
+        kind: HeightKind | None,
+        geoid: str,
+        sigma_v: float | None,
+    ) -> None:
+        self.photos, self.origin = photos, origin
+        self.kind, self.geoid, self.sigma_v = kind, geoid, sigma_v
+        self.absolute = {p.id: tag_height(p, kind, geoid) for p in photos}
+        self.relative = {p.id: relative_height(p, kind) for p in photos}
+
+    def kind_of(self, photo: Photo) -> HeightKind | None:
+        """Kind of a tag's height; None where there is none."""
+        height = photo.geotag.height if photo.geotag is not None else None
+        return None if height is None else self.kind or height.kind
+
+    def words(self, photo: Photo) -> str:
+        """Kind of a tag's height for people."""
+        kind = self.kind_of(photo)
+        return f"orthometric ({self.geoid})" if kind is HeightKind.ORTHOMETRIC else str(kind)
+
+    def sigma(self, photo: Photo) -> float:
+        """One sigma of a tag's height, m."""
+        tag = photo.geotag
+        return self.sigma_v or (tag.sigma_v if tag is not None else None) or SIGMA_GNSS_HEIGHT
+
+    def level(self, below: Mapping[str, float]) -> _Level:
+        """Ellipsoidal height of the level that lies `below` (photo -> m) the cameras.
+
+        A height of unknown kind is taken as EXIF defines GPSAltitude, above sea level; if it is
+        ellipsoidal instead, all is the geoid's height off, half of which goes into the sigma.
+        """
+        known = [p for p in self.photos if self.absolute[p.id] is not None and p.id in below]
+        if known:
+            heights = [float(self.absolute[p.id] or 0.0) - below[p.id] for p in known]
+            kinds = " and ".join(sorted({self.words(p) for p in known}))
+            sigma = float(np.median([self.sigma(p) for p in known]))
+            return _Level(height=float(np.median(heights)), sigma=sigma, kind=kinds)
+        raw = {p.id: h for p in self.photos if (h := self._raw(p)) is not None}
+        pairs = [h - below[key] for key, h in raw.items() if key in below]
+        if not raw or self._repeats(raw):
+            return _Level(height=0.0, sigma=SIGMA_NO_LEVEL, kind=NO_LEVEL, doubts=(NO_LEVEL_DOUBT,))
+        level = float(np.median(pairs)) if pairs else _median(raw) - _median(below)
+        return self._unknown(level)
+
+    def _raw(self, photo: Photo) -> float | None:
+        """Height of a tag of unknown kind, m, that may be an absolute one."""
+        if photo.geotag is None or photo.geotag.height is None:
+            return None
+        return photo.geotag.height.value if self.kind_of(photo) is HeightKind.UNKNOWN else None
+
+    def _repeats(self, raw: Mapping[str, float]) -> bool:
+        """Whether the heights are those above take-off once more, as some cameras write them."""
+        both = [h - r for key, h in raw.items() if (r := self.relative[key]) is not None]
+        return bool(both) and max(map(abs, both)) < SAME_HEIGHT
+
+    def _unknown(self, level: float) -> _Level:
+        n = float(geoid_undulation(self.origin.lat, self.origin.lon, geoid=self.geoid))
+        sigma = float(np.hypot(np.median([self.sigma(p) for p in self.photos]), n / 2))
+        doubt = (
+            "the tags do not state the kind of their heights: taken as above sea level, as EXIF "
+            f"means them, to {sigma:.0f} m (one sigma); heights above the ground are not touched "
+            "by that: set [gnss] height_kind"
+        )
+        return _Level(height=level + n, sigma=sigma, kind=unknown_kind(self.geoid), doubts=(doubt,))
+
+
+def unknown_kind(geoid: str) -> str:
+    """How heights of no stated kind are taken, in words."""
+    return f"unknown, taken as orthometric ({geoid})"
+
+
+def _median(values: Mapping[str, float]) -> float:
+    return float(np.median(list(values.values())))
+
+
+def relative_height(photo: Photo, kind: HeightKind | None) -> float | None:
+    """Height of a photo above the ground or take-off by its tags, m; `kind` as in `tag_height`."""
     height = photo.geotag.height if photo.geotag is not None else None
     if height is not None and (kind or height.kind) is HeightKind.ABOVE_GROUND:
         return height.value
@@ -107,41 +220,30 @@ def _relative(photo: Photo, kind: HeightKind | None) -> float | None:
     return photo.height_above_takeoff
 
 
-def _from_user_height(
-    photos: Sequence[Photo],
-    origin: Origin,
-    ground: GroundSetting,
-    absolute: Mapping[str, float | None],
-) -> Heights:
-    agl = float(ground.height_above_ground or 0.0)
-    known = [h for h in absolute.values() if h is not None]
-    level = float(np.median(known)) if known else _raw_level(photos)
-    h_ground = level - agl
+def _from_user_height(tags: _Tags, ground: GroundSetting, agl: float) -> Heights:
+    level = tags.level(dict.fromkeys((p.id for p in tags.photos), agl))
     # The heights of one flight spread less than a GNSS height errs: keep the flight's own shape.
-    cameras = {p.id: (h if (h := absolute[p.id]) is not None else level) for p in photos}
+    known = tags.absolute
+    cameras = {p.id: h if (h := known[p.id]) is not None else level.height + agl
+               for p in tags.photos}  # fmt: skip
+    doubts = level.doubts
+    if ground.dem is not None:
+        doubts = (*doubts, "[ground] dem is not used: height_above_ground_m goes before it")
     sigma = ground.sigma if ground.sigma is not None else 0.05 * agl
     return Heights(
         cameras=cameras,
-        sigma={p.id: SIGMA_RELATIVE_HEIGHT for p in photos},
-        terrain=FlatTerrain(origin=origin, height_ellipsoidal=h_ground, sigma=sigma),
+        sigma={p.id: SIGMA_RELATIVE_HEIGHT for p in tags.photos},
+        terrain=FlatTerrain(origin=tags.origin, height_ellipsoidal=level.height, sigma=sigma),
         source=f"height above ground {agl:.1f} m given by the user",
+        sigma_shared=level.sigma,
+        kinds=dict.fromkeys(cameras, level.kind),
+        doubts=doubts,
     )
 
 
-def _raw_level(photos: Sequence[Photo]) -> float:
-    values = [p.geotag.height.value for p in photos if p.geotag and p.geotag.height]
-    return float(np.median(values)) if values else 0.0
-
-
-def _over_known_ground(
-    photos: Sequence[Photo],
-    origin: Origin,
-    ground: GroundSetting,
-    absolute: Mapping[str, float | None],
-    relative: Mapping[str, float | None],
-) -> Heights:
-    terrain = ground.dem or _flat_from_height(origin, ground)
-    below = _ground_below(photos, origin, terrain)
+def _over_known_ground(tags: _Tags, ground: GroundSetting) -> Heights:
+    terrain = ground.dem or _flat_from_height(tags.origin, ground)
+    below = _ground_below(tags.photos, tags.origin, terrain)
     level = float(np.nanmedian(list(below.values()))) if below else float("nan")
     if not np.isfinite(level):
         raise InputError(
@@ -149,12 +251,12 @@ def _over_known_ground(
             source="project.toml",
             field="[ground] dem",
         )
-    cameras, sigma, odd, doubts = {}, {}, {}, []
-    for p in photos:
-        h, rel = absolute[p.id], relative[p.id]
+    cameras, sigma, kinds, odd, doubts = {}, {}, {}, {}, []
+    for p in tags.photos:
+        h, rel = tags.absolute[p.id], tags.relative[p.id]
         if h is not None:
-            cameras[p.id] = h
-            sigma[p.id] = _tag_sigma(p)
+            cameras[p.id], kinds[p.id] = h, tags.words(p)
+            sigma[p.id] = tags.sigma(p)
             agl = h - below.get(p.id, level)
             if rel is not None and abs(agl - rel) > HEIGHT_CONFLICT:
                 odd[p.id] = (
@@ -162,7 +264,7 @@ def _over_known_ground(
                     f"{rel:.0f} m by its height above take-off: check [gnss] height_kind"
                 )
         elif rel is not None:
-            cameras[p.id] = level + rel
+            cameras[p.id], kinds[p.id] = level + rel, OVER_GROUND
             sigma[p.id] = float(np.hypot(SIGMA_RELATIVE_HEIGHT, SIGMA_FLAT_GROUND))
     if not cameras:
         raise InputError(
@@ -171,13 +273,16 @@ def _over_known_ground(
             source="project.toml",
             field="[gnss] height_kind",
         )
-    if any(absolute[p.id] is None for p in photos):
+    if any(h is None for h in tags.absolute.values()):
         doubts.append("some heights come from the height above take-off: take-off at ground level")
+    if ground.dem is not None and ground.height is not None:
+        doubts.append("[ground] height_m is not used: dem goes before it")
     return Heights(
         cameras=cameras,
         sigma=sigma,
         terrain=terrain,
         source="heights of the tags above the given ground",
+        kinds=kinds,
         doubts=tuple(doubts),
         photo_doubts=odd,
     )
@@ -200,43 +305,29 @@ def _ground_below(photos: Sequence[Photo], origin: Origin, terrain: Terrain) -> 
     return {key: float(v) for (key, _), v in zip(tags, h, strict=True) if np.isfinite(v)}
 
 
-def _over_take_off(
-    photos: Sequence[Photo],
-    origin: Origin,
-    absolute: Mapping[str, float | None],
-    relative: Mapping[str, float | None],
-) -> Heights:
-    pairs = [(h, r) for k in relative if (h := absolute[k]) is not None
-             and (r := relative[k]) is not None]  # fmt: skip
-    if pairs:
-        take_off = float(np.median([h - r for h, r in pairs]))
-        source = "heights above take-off; ground taken as flat at take-off level"
-    else:
-        raw = _raw_level(photos)
-        take_off = raw - float(np.median([r for r in relative.values() if r is not None]))
-        source = (
-            "heights above take-off; ground taken as flat at take-off level, its own height of "
-            "unknown kind"
-        )
+def _over_take_off(tags: _Tags) -> Heights:
+    above = {key: r for key, r in tags.relative.items() if r is not None}
+    take_off = tags.level(above)
     cameras, sigma = {}, {}
-    for p in photos:
-        h, r = absolute[p.id], relative[p.id]
+    for p in tags.photos:
+        h, r = tags.absolute[p.id], tags.relative[p.id]
         if r is not None:
             # A barometer is smoother over a flight than a receiver's height.
-            cameras[p.id], sigma[p.id] = take_off + r, SIGMA_RELATIVE_HEIGHT
+            cameras[p.id], sigma[p.id] = take_off.height + r, SIGMA_RELATIVE_HEIGHT
         elif h is not None:
-            cameras[p.id], sigma[p.id] = h, _tag_sigma(p)
+            cameras[p.id], sigma[p.id] = h, tags.sigma(p)
+    own = ", its own height of unknown kind" if take_off.doubts else ""
     return Heights(
         cameras=cameras,
         sigma=sigma,
-        terrain=FlatTerrain(origin=origin, height_ellipsoidal=take_off, sigma=SIGMA_FLAT_GROUND),
-        source=source,
+        terrain=FlatTerrain(
+            origin=tags.origin, height_ellipsoidal=take_off.height, sigma=SIGMA_FLAT_GROUND
+        ),
+        source=f"heights above take-off; ground taken as flat at take-off level{own}",
+        sigma_shared=take_off.sigma,
+        kinds=dict.fromkeys(cameras, take_off.kind),
+        doubts=take_off.doubts,
     )
-
-
-def _tag_sigma(photo: Photo) -> float:
-    tag = photo.geotag
-    return tag.sigma_v if tag is not None and tag.sigma_v else SIGMA_GNSS_HEIGHT
 
 
 def heights_above_ground(origins_enu: Array, terrain: Terrain) -> Array:

@@ -230,7 +230,8 @@ def pose_row(
     """Row of table `pose`: the pose itself, and its angles for people.
 
     Omega, phi, kappa are those of the map; roll, pitch, yaw those of a vehicle whose camera looks
-    down, at the photo's own place.
+    down, at the photo's own place. `sigma_v_m` is that of the height above the ellipsoid,
+    `sigma_height_over_ground_m` in `extra` that of the camera over the ground.
     """
     angles = pose_angles(pose, frame)
     p_map = frame.map_from_enu(pose.origin_enu)
@@ -245,12 +246,12 @@ def pose_row(
         "covariance": c[_UPPER].tolist(),
         **{key: math.degrees(value) for key, value in angles.items()},
         "sigma_h_m": float(np.sqrt((c[0, 0] + c[1, 1]) / 2)),
-        "sigma_v_m": float(np.sqrt(c[2, 2])),
+        "sigma_v_m": pose.sigma_height,
         "height_above_ground_m": height_above_ground,
         "dialect": dialect,
         "status": "doubtful" if doubts else "ok",
         "doubts": list(doubts),
-        "extra": {"turned_deg": turned_deg, **_motion_json(pose)},
+        "extra": {"turned_deg": turned_deg, **_motion_json(pose), **_height_json(pose)},
         "geom": point_wkb(*(float(v) for v in p_map)),
     }
 
@@ -258,6 +259,15 @@ def pose_row(
 def _motion_json(pose: Pose) -> dict[str, Any]:
     motion = {"velocity_enu": pose.velocity_enu, "rate_enu": pose.rate_enu}
     return {key: value.tolist() for key, value in motion.items() if value is not None}
+
+
+def _height_json(pose: Pose) -> dict[str, Any]:
+    return {
+        "height_kind": pose.height_kind,
+        "sigma_height_absolute_m": pose.sigma_height,
+        "sigma_height_over_ground_m": float(np.sqrt(pose.covariance[2, 2])),
+        "sigma_height_shared_m": pose.sigma_height_shared,
+    }
 
 
 def pose_angles(pose: Pose, frame: MapFrame) -> dict[str, float]:
@@ -287,6 +297,8 @@ def pose_of(row: Mapping[str, Any]) -> Pose:
         R_enu_from_cam=np.array(row["rotation"]).reshape(3, 3),
         covariance=covariance,
         kind=row["kind"],
+        sigma_height_shared=extra.get("sigma_height_shared_m", 0.0),
+        height_kind=extra.get("height_kind", ""),
         **motion,
     )
 

@@ -6,7 +6,15 @@ import tomllib
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import PydanticCustomError
 
 from georef_gis.errors import InputError
 
@@ -186,6 +194,10 @@ class GroundSection(Section):
         default="auto",
         description='Kind of the DEM\'s heights: "auto", "ellipsoidal", "orthometric"',
     )
+    dem_unit: Literal["auto", "m", "ft", "us-ft"] = Field(
+        default="auto",
+        description='Unit of the DEM\'s heights: "auto" (as the file says), "m", "ft", "us-ft"',
+    )
     height_m: float | None = Field(default=None, description="One height of the ground, m")
     height_kind: Literal["ellipsoidal", "orthometric"] = Field(
         default="orthometric", description='Kind of height_m: "ellipsoidal" or "orthometric"'
@@ -196,6 +208,14 @@ class GroundSection(Section):
     sigma_m: float | None = Field(
         default=None, gt=0, description="One sigma of the ground's height, m"
     )
+
+    @field_validator("height_above_ground_m")
+    @classmethod
+    def _one_height(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("height_m") is not None:
+            words = "is given together with height_m; give only one of the two"
+            raise PydanticCustomError("two_heights", words)
+        return value
 
 
 class PosesSection(Section):

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+import glob
 import os
+import re
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.ingest.beside import NAMED, Beside, find_beside
 
 if TYPE_CHECKING:
     from georef_gis.ingest.photos import ReadResult
+    from georef_gis.model.photo import Photo
 
-# Files that lie in the folder of the project, and the key of project.toml that takes them.
-_FOUND = (
-    ("ground", "dem", ("dem.tif", "dem.asc", "dsm.tif")),
-    ("control", "file", ("control/control.csv", "control.csv", "gcp_list.txt")),
-    ("control", "marks", ("control/marks.csv", "marks.csv")),
-    ("poses", "file", ("geo.txt",)),
-    ("logs", "imu", ("logs/imu.csv",)),
-    ("logs", "gnss", ("logs/gnss.csv",)),
-    ("logs", "sync", ("logs/sync_board.log",)),
+# Names of cameras that take near infrared in place of a colour, or bands of their own.
+_INFRARED = re.compile(
+    r"nir\b|ndvi|\brgn\b|\bngb\b|\bnrg\b|\bcir\b|multispec|sequoia|rededge|altum|survey ?3"
+    r"|agrocam",
+    re.IGNORECASE,
 )
 
 
@@ -39,7 +40,8 @@ class Init(Algorithm[InitParameters]):
     """Look at a folder of photos and write project.toml.
 
     Says what was found: cameras, positions, angles, heights, and what is doubtful. A DEM, control
-    points and logs in the folder of the project are entered.
+    points and logs are entered that lie in the folder of the project, that of the photos or the
+    one above it, or in their subfolders such as logs and control.
     """
 
     id, name, group = "init", "New project", "project"
@@ -58,21 +60,24 @@ class Init(Algorithm[InitParameters]):
             folder = nested
         if parameters.crs != "auto" and not parameters.crs.endswith((".wkt", ".prj")):
             map_crs(parameters.crs)
-        paths = find_photos(folder)
+        into = parameters.into
+        beside = find_beside(folder, into)
+        exclude = sorted(beside.names_in(folder))
+        paths = find_photos(folder, exclude=[glob.escape(name) for name in exclude])
         result = read_photos(
             paths,
             workers=context.workers,
             progress=lambda done, n: feedback.progress(done / max(n, 1), f"{done} of {n} photos"),
         )
-        into = parameters.into
-        values = _values(folder, into, parameters)
-        project = Project.create(into, values, _notes(result), overwrite=parameters.overwrite)
+        values = _values(folder, parameters, beside)
+        notes = _notes(result, beside)
+        project = Project.create(into, values, notes, overwrite=parameters.overwrite)
         settings = project.folder / "project.toml"
         doubts = [str(error) for _, error in result.refused]
         doubts += [*result.doubts, *(d for photo in result.photos for d in photo.doubts)]
         for doubt in doubts:
             feedback.warn(doubt)
-        summary = {
+        summary: dict[str, Any] = {
             "products": [str(settings)],
             "photos": len(result.photos),
             "next": f"georef run {os.path.relpath(project.folder)}",
@@ -82,12 +87,15 @@ class Init(Algorithm[InitParameters]):
 
 def _has_photos(folder: Path) -> bool:
     endings = {".jpg", ".jpeg", ".tif", ".tiff"}
-    other = {name for _, _, names in _FOUND for name in names}
-    return any(f.suffix.lower() in endings and f.name not in other for f in folder.iterdir())
+    other = {name for _, _, names in NAMED for name in names}
+    return any(
+        f.suffix.lower() in endings and f.name.lower() not in other for f in folder.iterdir()
+    )
 
 
-def _values(folder: Path, into: Path, parameters: InitParameters) -> dict[str, dict[str, Any]]:
+def _values(folder: Path, parameters: InitParameters, beside: Beside) -> dict[str, dict[str, Any]]:
     """What project.toml states: paths relative to it where they are near."""
+    into = parameters.into
     values: dict[str, dict[str, Any]] = {
         "project": {
             "name": parameters.name or folder.resolve().parent.name,
@@ -95,12 +103,14 @@ def _values(folder: Path, into: Path, parameters: InitParameters) -> dict[str, d
         },
         "photos": {"folder": _relative(folder, into)},
     }
-    for section, key, names in _FOUND:
-        for name in names:
-            file = into / name
-            if file.is_file():
-                values.setdefault(section, {})[key] = name
-                break
+    rasters = [name for name in beside.names_in(folder) if name.lower().endswith((".tif", ".tiff"))]
+    if rasters:
+        values["photos"]["exclude"] = sorted(rasters)
+    for (section, key), file in beside.files.items():
+        values.setdefault(section, {})[key] = _relative(file, into)
+    if beside.logs:
+        files = [_relative(file, into) for file in beside.logs]
+        values.setdefault("logs", {})["files"] = files
     return values
 
 
@@ -109,7 +119,7 @@ def _relative(path: Path, base: Path) -> str:
     return os.path.relpath(path, base) if path.is_relative_to(base.parent) else str(path)
 
 
-def _notes(result: ReadResult) -> dict[str, str]:
+def _notes(result: ReadResult, beside: Beside) -> dict[str, str]:
     """What was found, as comments at the heads of the sections."""
     photos = result.photos
     notes = {"photos": f"Found: {len(photos)} photos"}
@@ -134,4 +144,24 @@ def _notes(result: ReadResult) -> dict[str, str]:
         notes["ground"] = (
             "The photos state no height above ground: give a DEM, height_m or height_above_ground_m"
         )
+    bands = _bands_note(photos)
+    if bands:
+        notes["products"] = bands
+    for section, words in beside.notes.items():
+        notes[section] = "\n".join([*filter(None, [notes.get(section)]), *words])
     return notes
+
+
+def _bands_note(photos: Sequence[Photo]) -> str:
+    """Hint for photos whose bands are not red, green and blue."""
+    infrared = {
+        name
+        for photo in photos
+        for name in (photo.model, photo.camera_id, photo.path.stem)
+        if _INFRARED.search(name)
+    }
+    odd = sorted({photo.bands for photo in photos} - {1, 3, 4})
+    if not infrared and not odd:
+        return ""
+    what = f"{min(infrared)} takes near infrared" if infrared else f"Photos of {odd[0]} bands"
+    return f'{what}: name the bands in order, such as band_names = ["NIR", "green", "blue"]'

@@ -147,21 +147,29 @@ def _tell(
 def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
     """Trajectory of what the logs hold, and how it was made."""
     from georef_gis.errors import NavigationError
+    from processing_algorithms.navigate.places import find_places
 
     chosen = project.settings.logs.filter
     has_imu = logs.imu is not None and len(logs.imu) > 0
     has_gnss = logs.gnss is not None and len(logs.gnss) > 0
     if logs.trajectory is not None and chosen == "auto" and not (has_imu and has_gnss):
         return _finished(logs)
-    if has_gnss and (chosen == "gnss" or (chosen == "auto" and not has_imu)):
-        return _kinematic(project, logs)
-    if not has_gnss:
+    places = find_places(project, logs)
+    if places is None:
         raise NavigationError(
-            "the logs hold no GNSS fixes; name a GNSS log or PPK positions in [logs] gnss"
+            "neither the logs nor the photos' tags hold fixes with a time; name a GNSS log or PPK "
+            "positions in [logs] gnss"
         )
-    if not has_imu:
+    logs = replace(logs, gnss=places.gnss)
+    notes = (places.note,) if places.note else ()
+    if chosen == "gnss" or (chosen == "auto" and not has_imu):
+        trajectory, said = _kinematic(project, logs, of_camera=places.of_camera)
+    elif not has_imu:
         raise NavigationError(f'the logs hold no IMU, which [logs] filter = "{chosen}" needs')
-    return _report_filter(project, logs) if chosen == "ekf9" else _inertial(project, logs)
+    else:
+        run = _report_filter if chosen == "ekf9" else _inertial
+        trajectory, said = run(project, logs)
+    return trajectory, (*notes, *said)
 
 
 def _finished(logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
@@ -232,7 +240,9 @@ def _compass(project: Project, logs: FlightLogs, trajectory: InertialTrajectory)
     return [headings_from_magnetometer(aid, roll_pitch, place, day) for aid in fields]
 
 
-def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+def _kinematic(
+    project: Project, logs: FlightLogs, *, of_camera: bool
+) -> tuple[Any, tuple[str, ...]]:
     import math
 
     import numpy as np
@@ -252,7 +262,8 @@ def _kinematic(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]
         attitude = replace(attitude, sigma_roll_pitch=math.radians(stated.sigma_roll_pitch_deg))
     if stated.sigma_yaw_deg is not None:
         attitude = replace(attitude, sigma_yaw=math.radians(stated.sigma_yaw_deg))
-    arm = np.array(project.settings.mount.lever_arm_antenna_m)
+    mount = project.settings.mount
+    arm = np.array(mount.lever_arm_camera_m if of_camera else mount.lever_arm_antenna_m)
     settings = KinematicSettings(
         attitude=attitude, lever_arm_body_antenna=arm, slow_tau=gnss.slow_tau_s
     )

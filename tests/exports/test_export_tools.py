@@ -25,8 +25,9 @@ from georef_gis.project.records import (
     pose_row,
     save_frame,
 )
-from georef_gis.toolbox import CollectingFeedback, Context
+from georef_gis.toolbox import CollectingFeedback, Context, Exporter, ExportReport
 from georef_gis.toolbox.exporter import tool_of
+from georef_gis.toolbox.parameters import Parameters
 
 CRS = "EPSG:6549"
 TOOLS = {exporter.id: exporter for exporter in exports.EXPORTERS}
@@ -230,3 +231,139 @@ def test_import_of_exports_is_light():
 def test_nasty_name_comes_through_to_the_csv(project):
     text = export(project, "poses_csv").read_text(encoding="utf-8")
     assert NASTY.replace('"', '""') in text
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("tags", 5.0), ("navigation", 13.0)])
+def test_sigma_above_the_ground_is_that_of_camera_and_ground(project, kind, expected):
+    """3 m of the camera and 4 m of the ground, whose level only poses from tags share (12 m)."""
+    database = project.database
+    rows = [{**row, "kind": kind} for row in database.rows("pose")]
+    for row in rows:
+        row.pop("fid")
+    database.replace_rows("pose", rows)
+    assert SiteLayers.from_project(project).photos[0].sigma_above_ground is None
+    database.set_meta(ground={"sigma_m": 4.0, "sigma_shared_m": 12.0})
+    assert SiteLayers.from_project(project).photos[0].sigma_above_ground == pytest.approx(expected)
+
+
+# -- targets -----------------------------------------------------------------------------------
+
+
+class FolderOfText(Exporter[Parameters]):
+    """Writes a folder of two files, or of one."""
+
+    id, name, suffix, accepts = "folder_of_text", "Folder", "", ("vector",)
+    names = ("a.txt", "sub/b.txt")
+
+    def write(self, source, target, options, feedback):
+        for name in self.names:
+            path = target / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(name)
+        return ExportReport(crs="EPSG:4326", height_kind="none", features=2)
+
+
+class OtherFolder(FolderOfText):
+    """Writes a folder as well."""
+
+    id = "other_folder"
+
+
+def export_folder(project: Project, target: Path, exporter: type = FolderOfText) -> set[str]:
+    tool = tool_of(exporter)
+    values = tool.Parameters(target=str(target))
+    tool().run(Context(project=project), values, CollectingFeedback())
+    assert [p.name for p in target.parent.iterdir() if ".part" in p.name] == []
+    return {p.relative_to(target).as_posix() for p in target.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("name", ["kmz", "tagged_photos"])
+@pytest.mark.parametrize("target", [".", "..", "site/.."])
+def test_target_without_a_name_is_a_user_error(project, tmp_path, monkeypatch, name, target):
+    here = tmp_path / "work" / "site"
+    here.mkdir(parents=True)
+    for folder in (here, here.parent, tmp_path):
+        (folder / "precious.txt").write_text("mine")
+    monkeypatch.chdir(here if target != "site/.." else here.parent)
+    with pytest.raises(ExportError, match=r"precious.txt.*would be lost|is a folder"):
+        export(project, name, target=target)
+    assert len(list(tmp_path.rglob("precious.txt"))) == 3
+
+
+@pytest.mark.parametrize("name", ["out", "out.geojson"])
+def test_folder_is_no_target_of_a_file(project, tmp_path, name):
+    (tmp_path / name).mkdir()
+    with pytest.raises(ExportError, match="is a folder; give the name"):
+        export(project, "geojson", target=str(tmp_path / name))
+    assert list((tmp_path / name).iterdir()) == []
+
+
+def test_root_of_the_disk_is_no_target(project):
+    with pytest.raises(ExportError, match="no place for an export"):
+        export(project, "geojson", target=Path("/").anchor)
+
+
+def test_folder_with_files_of_others_is_refused_and_kept(project, tmp_path):
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "thesis.doc").write_text("years of work")
+    with pytest.raises(ExportError, match=r"holds thesis\.doc, .* would be lost"):
+        export_folder(project, target)
+    assert (target / "thesis.doc").read_text() == "years of work"
+
+
+def test_folder_of_the_same_exporter_is_replaced_whole(project, tmp_path, monkeypatch):
+    target = tmp_path / "out"
+    first = export_folder(project, target)
+    assert {"a.txt", "sub/b.txt"} < first
+    monkeypatch.setattr(FolderOfText, "names", ("c.txt",))
+    again = export_folder(project, target)
+    assert again == (first - {"a.txt", "sub/b.txt"}) | {"c.txt"}
+
+
+def test_folder_of_another_exporter_is_refused(project, tmp_path):
+    export_folder(project, tmp_path / "out", OtherFolder)
+    with pytest.raises(ExportError, match="would be lost"):
+        export_folder(project, tmp_path / "out")
+
+
+def test_file_put_into_an_exported_folder_is_not_lost(project, tmp_path):
+    target = tmp_path / "out"
+    export_folder(project, target)
+    (target / "sub" / "notes.txt").write_text("mine")
+    with pytest.raises(ExportError, match=r"holds sub/notes\.txt"):
+        export_folder(project, target)
+    assert (target / "sub" / "notes.txt").read_text() == "mine"
+
+
+def test_empty_folder_is_taken(project, tmp_path):
+    (tmp_path / "out" / "empty").mkdir(parents=True)
+    assert "a.txt" in export_folder(project, tmp_path / "out")
+
+
+def test_file_is_not_replaced_by_a_folder(project, tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(ExportError, match="is there and is no folder"):
+        export_folder(project, tmp_path / "out")
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+def test_link_to_a_folder_is_refused(project, tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "real")
+    with pytest.raises(ExportError, match="link to a folder"):
+        export_folder(project, tmp_path / "out")
+
+
+def test_a_folder_that_failed_half_way_leaves_the_earlier_one(project, tmp_path, monkeypatch):
+    target = tmp_path / "out"
+    before = export_folder(project, target)
+
+    def fail(self, source, target, options, feedback):
+        target.mkdir()
+        raise ExportError("half way")
+
+    monkeypatch.setattr(FolderOfText, "write", fail)
+    with pytest.raises(ExportError, match="half way"):
+        export_folder(project, target)
+    assert {p.relative_to(target).as_posix() for p in target.rglob("*") if p.is_file()} == before

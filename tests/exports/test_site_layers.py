@@ -139,3 +139,17 @@ def test_metadata_state_crs_and_unit(tmp_path, crs):
     assert facts["crs_unit"] == {"EPSG:32617": "metre", "EPSG:6549": "US survey foot"}[crs]
     assert "EGM96" in facts["heights"]
     assert NASTY not in facts["photos_without_place"]
+
+
+def test_height_has_its_kind_in_words_and_the_sigma_of_the_level_too(site):
+    pose = replace(
+        site.photos[0].pose, sigma_height_shared=4.0, height_kind="unknown, taken as orthometric"
+    )
+    first = replace(site.photos[0], pose=pose, sigma_above_ground=3.5)
+    v = values(replace(site, photos=(first,)), "photos")
+    assert v["height_kind"] == "unknown, taken as orthometric"
+    # 3 m over the ground (conftest) and 4 m of a level that camera and ground share
+    assert v["sigma_u_m"] == pytest.approx(5.0)
+    assert v["sigma_above_ground_m"] == 3.5
+    assert [v["sigma_e_m"], v["sigma_n_m"]] == pytest.approx([1.0, 2.0])
+    assert "height_kind" in site.metadata()["heights"]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,6 +16,7 @@ from pyproj import Proj, Transformer
 from georef_gis.errors import CrsError
 from georef_gis.geodesy import (
     CRS,
+    Datum,
     MapFrame,
     Origin,
     horizontal_crs,
@@ -137,3 +141,42 @@ def test_convergence_far_from_the_origin_is_that_of_the_places_own_meridian(
     sign = math.copysign(1.0, here * frame.convergence_at(np.zeros(3)))
     # deg; enu's own north would be off by 0.146
     assert math.degrees(frame.convergence_at(p)) == pytest.approx(sign * expected, abs=1e-3)
+
+
+# -- threads -----------------------------------------------------------------------------------
+
+
+def test_every_thread_has_a_proj_object_of_its_own() -> None:
+    """PROJ's contexts are not for two threads at once (PROJ: "Threading and multi-threading")."""
+    frame = MapFrame(SITE, parse_crs("EPSG:32617"))
+    barrier = threading.Barrier(4)
+
+    def own(_: int) -> int:
+        frame.map_from_enu([1.0, 2.0, 3.0])
+        # All at once, so that no number is given twice to objects that died.
+        found = frame._project.own
+        barrier.wait(timeout=30)
+        return id(found)
+
+    with ThreadPoolExecutor(4) as pool:
+        assert len(set(pool.map(own, range(4)))) == 4
+
+
+def test_places_of_eight_threads_are_those_of_one() -> None:
+    rng = np.random.default_rng(8)
+    parts = [rng.uniform(-500, 500, (200, 3)) for _ in range(64)]
+    frame = MapFrame(SITE, parse_crs("EPSG:6601"), gnss_datum=Datum.parse("ITRF2020@2026.4"),
+                     crs_datum=Datum.parse("NAD83(2011)@2010.0"))  # fmt: skip
+    wanted = [frame.map_from_enu(part) for part in parts]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(frame.map_from_enu, parts))
+    for a, b in zip(found, wanted, strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_a_frame_travels_to_another_process() -> None:
+    frame = MapFrame(SITE, parse_crs("EPSG:6601"))
+    twin = pickle.loads(pickle.dumps(frame))
+    p = np.array([[100.0, -50.0, 20.0]])
+    assert np.array_equal(twin.map_from_enu(p), frame.map_from_enu(p))
+    assert twin.datum_sigma == frame.datum_sigma

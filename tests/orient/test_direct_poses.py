@@ -28,8 +28,10 @@ from georef_gis.orient.heights import GroundSetting, solve_heights
 GROUND = GroundSetting(dem=FlatTerrain(origin=tags.SITE, height_ellipsoidal=277.6))
 
 
-def poses(photos: list, mount: Mount | None = None, **settings) -> list[DirectPose]:
-    heights = solve_heights(photos, tags.SITE, GROUND)
+def poses(
+    photos: list, mount: Mount | None = None, *, sigma_v: float | None = None, **settings
+) -> list[DirectPose]:
+    heights = solve_heights(photos, tags.SITE, GROUND, sigma_v=sigma_v)
     return direct_poses(
         photos,
         tags.SITE,

@@ -2,8 +2,11 @@
 
 import os
 import pickle
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -45,6 +48,19 @@ def test_wrong_settings_give_one_line(tmp_path: Path, text: str, words: str) -> 
         settings_of(tmp_path, text)
     assert str(caught.value).startswith(str(tmp_path / "project.toml"))
     assert "\n" not in str(caught.value)
+
+
+def test_height_of_the_ground_and_above_it_are_not_both_taken(tmp_path: Path) -> None:
+    both = "[ground]\nheight_above_ground_m = 60\nheight_m = 314\n"
+    with pytest.raises(InputError, match=r"ground\.height_above_ground_m: 60: .*with height_m;"):
+        settings_of(tmp_path, both)
+    assert settings_of(tmp_path, "[ground]\nheight_m = 314\n").ground.height_m == 314.0
+
+
+def test_unit_of_the_dem_is_one_that_is_known(tmp_path: Path) -> None:
+    assert settings_of(tmp_path, '[ground]\ndem_unit = "us-ft"\n').ground.dem_unit == "us-ft"
+    with pytest.raises(InputError, match=r"ground\.dem_unit: 'yd': input should be 'auto', 'm'"):
+        settings_of(tmp_path, '[ground]\ndem_unit = "yd"\n')
 
 
 def test_camera_table_of_its_own_goes_before_the_general_one(tmp_path: Path) -> None:
@@ -191,3 +207,94 @@ def test_lock_is_free_again_after_an_error(tmp_path: Path) -> None:
     with project_lock(tmp_path), pytest.raises(InputError, match="another run"):
         with project_lock(tmp_path):
             pass
+
+
+TRY_LOCK = """
+import sys
+from pathlib import Path
+from georef_gis.errors import InputError
+from georef_gis.project.lock import project_lock
+try:
+    with project_lock(Path(sys.argv[1])):
+        print("got it")
+except InputError as error:
+    print(error)
+"""
+
+
+def other_process(folder: Path) -> str:
+    """What another process says that tries to take the lock."""
+    run = subprocess.run(
+        [sys.executable, "-c", TRY_LOCK, str(folder)], capture_output=True, text=True, timeout=60
+    )
+    return run.stdout + run.stderr
+
+
+def refused_here(folder: Path) -> bool:
+    try:
+        with project_lock(folder):
+            return False
+    except InputError as error:
+        return "another run" in str(error)
+
+
+def test_second_try_of_the_same_process_does_not_drop_the_lock(tmp_path: Path) -> None:
+    with project_lock(tmp_path):
+        assert refused_here(tmp_path)
+        said = other_process(tmp_path)
+        assert "another run" in said
+        assert f"process {os.getpid()}" in said
+    assert other_process(tmp_path).strip() == "got it"
+
+
+def test_reading_the_lock_file_does_not_drop_the_lock(tmp_path: Path) -> None:
+    """As a fingerprint of all files of the folder does."""
+    with project_lock(tmp_path):
+        fingerprints([tmp_path], tmp_path)
+        assert "another run" in other_process(tmp_path)
+
+
+def test_one_project_by_two_names_has_one_lock(tmp_path: Path) -> None:
+    folder, link = tmp_path / "site", tmp_path / "link"
+    folder.mkdir()
+    link.symlink_to(folder, target_is_directory=True)
+    with project_lock(folder):
+        assert refused_here(link)
+        assert refused_here(folder / ".." / "site")
+        assert "another run" in other_process(link)
+    assert not refused_here(link)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_forked_worker_does_not_hold_the_lock_on(tmp_path: Path) -> None:
+    """The worker outlives the run, as it does when the run is killed."""
+    code = TRY_LOCK.replace(
+        'print("got it")',
+        "import os, time\n"
+        "        if os.fork() == 0:\n"
+        "            os.close(1); os.close(2); time.sleep(30); os._exit(0)\n"
+        "        print('got it', flush=True); os._exit(0)",
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(tmp_path)],
+                         capture_output=True, text=True, timeout=60)  # fmt: skip
+    assert "got it" in run.stdout, run.stderr
+    assert other_process(tmp_path).strip() == "got it"
+
+
+def test_windows_locks_a_byte_behind_the_note(tmp_path: Path, monkeypatch) -> None:
+    """By the calls that msvcrt documents: the byte at the position of the file, not waiting."""
+    calls: list[tuple[int, int, int]] = []
+    taken = False
+
+    def locking(stream: int, mode: int, count: int) -> None:
+        calls.append((os.lseek(stream, 0, os.SEEK_CUR), mode, count))
+        if taken:
+            raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
+    with project_lock(tmp_path):
+        assert (tmp_path / ".georef.lock").read_bytes().startswith(b'{"process"')
+    assert calls == [(1 << 20, 2, 1)]
+    taken = True
+    assert refused_here(tmp_path)
