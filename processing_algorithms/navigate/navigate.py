@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.trajectory import InertialTrajectory
     from georef_gis.project import Project
+    from processing_algorithms.navigate.places import Places
 
 
 class NavigateParameters(p.Parameters):
@@ -163,7 +164,7 @@ def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...
     logs = replace(logs, gnss=places.gnss)
     notes = (places.note,) if places.note else ()
     if chosen == "gnss" or (chosen == "auto" and not has_imu):
-        trajectory, said = _kinematic(project, logs, of_camera=places.of_camera)
+        trajectory, said = _kinematic(project, logs, places)
     elif not has_imu:
         raise NavigationError(f'the logs hold no IMU, which [logs] filter = "{chosen}" needs')
     else:
@@ -240,9 +241,7 @@ def _compass(project: Project, logs: FlightLogs, trajectory: InertialTrajectory)
     return [headings_from_magnetometer(aid, roll_pitch, place, day) for aid in fields]
 
 
-def _kinematic(
-    project: Project, logs: FlightLogs, *, of_camera: bool
-) -> tuple[Any, tuple[str, ...]]:
+def _kinematic(project: Project, logs: FlightLogs, places: Places) -> tuple[Any, tuple[str, ...]]:
     import math
 
     import numpy as np
@@ -263,9 +262,13 @@ def _kinematic(
     if stated.sigma_yaw_deg is not None:
         attitude = replace(attitude, sigma_yaw=math.radians(stated.sigma_yaw_deg))
     mount = project.settings.mount
-    arm = np.array(mount.lever_arm_camera_m if of_camera else mount.lever_arm_antenna_m)
+    arm = np.array(mount.lever_arm_camera_m if places.of_camera else mount.lever_arm_antenna_m)
     settings = KinematicSettings(
-        attitude=attitude, lever_arm_body_antenna=arm, slow_tau=gnss.slow_tau_s
+        attitude=attitude,
+        lever_arm_body_antenna=arm,
+        slow_tau=gnss.slow_tau_s,
+        # what was noted at an exposure is its place, however sharp the turn
+        gate=1e-12 if places.of_exposures else 0.001,
     )
     trajectory = smooth_fixes(fixes, logs.attitude, settings)
     return trajectory, trajectory.notes

@@ -182,7 +182,6 @@ class _Work:
         }
 
     def _pose(self, photos: list[Photo], found: ExposureTimes, usable: list[int]) -> list[str]:
-        import numpy as np
 
         from georef_gis.navigate.exposure_poses import exposure_poses
         from processing_algorithms.navigate.flight import project_mount
@@ -209,10 +208,8 @@ class _Work:
             lines.append(line)
         for name, pose, i in zip(ids, result.poses, order, strict=True):
             turned = math.radians(self.turned.get(name, 0))
-            lifted = pose.origin_enu + np.array([0.0, 0.0, shift])
-            self.poses[name] = replace(
-                pose, origin_enu=lifted, R_enu_from_cam=_spun(pose.R_enu_from_cam, -turned)
-            )
+            level = _levelled(pose, shift, self.tags.get(name))
+            self.poses[name] = replace(level, R_enu_from_cam=_spun(level.R_enu_from_cam, -turned))
             confidence = float(found.confidence[i])
             if confidence < SURE:
                 self.doubts.setdefault(name, []).append(
@@ -366,6 +363,25 @@ def _order(photo: Photo) -> tuple[Any, ...]:
         photo.time_gps if photo.time_gps is not None else math.inf,
         file_number(photo.path.name) or 0,
         photo.id,
+    )
+
+
+def _levelled(pose: Pose, shift: float, tag: Pose | None) -> Pose:
+    """Pose whose height belongs to the ground: the log's, or shifted onto the tags' level."""
+    import numpy as np
+
+    if shift == 0.0 or tag is None:
+        return replace(pose, height_kind="ellipsoidal (log)")
+    # over a ground that hangs below the tags, the height over it is as good as theirs
+    sigma, own = math.sqrt(tag.covariance[2, 2]), math.sqrt(pose.covariance[2, 2])
+    scale = np.ones(6)
+    scale[2] = min(1.0, sigma / own)
+    return replace(
+        pose,
+        origin_enu=pose.origin_enu + np.array([0.0, 0.0, shift]),
+        covariance=pose.covariance * np.outer(scale, scale),
+        sigma_height_shared=tag.sigma_height_shared,
+        height_kind=tag.height_kind,
     )
 
 

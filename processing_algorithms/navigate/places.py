@@ -21,6 +21,8 @@ class Places:
     gnss: GnssLog
     of_camera: bool
     note: str
+    # whether each is that of an exposure, which no smoothing may move
+    of_exposures: bool = False
 
 
 def find_places(project: Project, logs: FlightLogs) -> Places | None:
@@ -34,6 +36,7 @@ def find_places(project: Project, logs: FlightLogs) -> Places | None:
                 gnss=found,
                 of_camera=events.position_of == "camera",
                 note=f"no GNSS log: the places of {len(found)} noted exposures are the fixes",
+                of_exposures=True,
             )
     tags = _of_tags(project)
     if tags is None:
@@ -93,14 +96,15 @@ def _of_tags(project: Project) -> GnssLog | None:
 
 def _timed_tags(project: Project) -> list[tuple[float, float, float, float]]:
     """(GPS time s, lat, lon rad, ellipsoidal height m) of the photos that have them."""
-    from georef_gis.geodesy import HeightKind
+    from georef_gis.geodesy import HeightKind, geoid_undulation
     from georef_gis.navigate.clock_fit import clock_seconds
     from georef_gis.project.records import load_frame, photo_of
 
     database, out = project.database, []
     epoch = database.meta("epoch") or 0.0
     offset = project.settings.logs.camera_clock_offset_s
-    stated = project.settings.gnss.height_kind
+    gnss = project.settings.gnss
+    stated = gnss.height_kind
     frame = load_frame(database)
     for row in database.rows("photo"):
         photo = photo_of(row)
@@ -118,8 +122,6 @@ def _timed_tags(project: Project) -> list[tuple[float, float, float, float]]:
             kind = tag.height.kind if stated == "auto" else HeightKind(stated)
             height = tag.height.value
             if kind in (HeightKind.ORTHOMETRIC, HeightKind.UNKNOWN):
-                from georef_gis.geodesy import geoid_undulation
-
                 height += float(
                     geoid_undulation(tag.lat, tag.lon, geoid=project.settings.gnss.geoid)
                 )
