@@ -42,6 +42,8 @@ SIGMA_LEVEL = math.radians(3.0)
 SEEN = 5.0
 # m/s; slower, the course says nothing
 SLOWEST_COURSE = 5.0
+# how a heading was found that the motion itself tells
+BY_FORCE = "felt force against change of velocity"
 # s; how far back from the aligned moment the log is used
 FARTHEST_BACK = 300.0
 
@@ -186,7 +188,7 @@ def _best_window(
         R_ned_from_body=C @ R_start[first],
         sigma_level=SIGMA_LEVEL,
         sigma_heading=heading,
-        method="felt force against change of velocity",
+        method=BY_FORCE,
     )
 
 

@@ -14,6 +14,7 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, exp_so3
 from georef_gis.model.logs import AidLog, ImuLog
 from georef_gis.navigate.alignment import (
+    BY_FORCE,
     FARTHEST_BACK,
     SIGMA_ANY,
     SIGMA_COURSE,
@@ -30,11 +31,6 @@ from georef_gis.navigate.trajectory import InertialTrajectory
 
 # Times of the nodes, and the fix at each
 Nodes = tuple[Array, NDArray[np.int64]]
-# places of the variances of level and heading in a packed covariance: rows 6, 7 and 8
-LEVEL = (27, 35)
-HEADING = 44
-# m/s2
-GRAVITY = 9.80665
 # Attitude, gyro bias, its sigma and that of the heading at the start of a stretch
 _First = tuple[Array, Array, float, float]
 # share of its prior sigma that a heading must come down to, to be more than the prior again
@@ -42,8 +38,12 @@ WEAK_HEADING = 0.3
 # rad/s and m/s2; no MEMS unit has a bias like this: axes or units are wrong
 WILD_GYRO = math.radians(1.5)
 WILD_ACCEL = 2.0
+# m/s2
+GRAVITY = 9.80665
 # s; how much of the log the first attitude is refined on
 FIRST_STRETCH = 60.0
+# rad, one sigma at which a heading that nothing tells is held, see `smooth_flight`
+HELD_HEADING = math.radians(2.0)
 # rad, one sigma of a first heading: wide enough to count the first stretch only once
 START_HEADING = math.radians(5.0)
 # s of waiting before the aligned moment that need no bias of their own
@@ -208,9 +208,6 @@ def _prior(layout: _Layout, fixes: Fixes, start: float, aligned: Alignment, R: A
     P[3:6, 3:6] = min(sigma_v + 5.0 * away, 40.0) ** 2 * np.eye(3)
     P[6:8, 6:8] = (aligned.sigma_level + drift) ** 2 * np.eye(2)
     P[8, 8] = min(aligned.sigma_heading + drift, SIGMA_ANY) ** 2
-    if aligned.sigma_heading >= SIGMA_ANY:
-        # any heading will do for a vehicle that does not move, and a linear filter needs one
-        P[8, 8] = START_HEADING**2
     return nav_of(fixes.p_geo[i], v, R), x, P
 
 
@@ -279,13 +276,22 @@ def smooth_flight(
     ------
     NavigationError
         If the logs do not overlap, or the filter diverges.
+
+    Notes
+    -----
+    A flight without a turn or change of speed looks the same whatever its heading. A linear filter
+    that is left free to turn it takes its own wandering for a turn of the vehicle, and from that
+    claims to tell tilt from accelerometer bias. So there the heading is held, and what is not
+    known of it and of the tilt is added to the result as one constant of the flight.
     """
     settings = NavigationSettings() if settings is None else settings
     table = imu_table(imu)
     _check_overlap(table, fixes, imu.source)
     layout = _layout(settings, fixes.slow, aids)
     aligned = align(table, fixes) if aligned is None else aligned
-    refined = _refined(table, fixes, layout, settings, aligned)
+    blind = aligned.sigma_heading >= SIGMA_COURSE and not any(a.kind == "heading" for a in aids)
+    held = replace(aligned, sigma_heading=HELD_HEADING) if blind else aligned
+    refined = _refined(table, fixes, layout, settings, held)
     start = max(float(table[0, 0]), float(fixes.time[0]), refined.time)
     nodes = plan_nodes(table, fixes, start, settings.node_gap)
     nodes = _until_last_fix(nodes, fixes)
@@ -298,14 +304,13 @@ def smooth_flight(
     smoothed = np.empty_like(passed[4])
     run_smoother(nodes[0], jump, model, passed, nav, x, smoothed)
     _refuse_wild_biases(x, layout, imu.source)
-    if aligned.sigma_heading >= SIGMA_COURSE and not any(aid.kind == "heading" for aid in aids):
-        _floor_attitude(aligned, settings, (passed[4], smoothed))
     return InertialTrajectory(
         imu=table, nodes=nodes[0], nav=nav, x=x, post_nav=passed[2], post_x=passed[3],
         filtered=passed[4], smoothed=smoothed, transitions=passed[5], jump=jump, model=model,
         chi=chi, gaps=gaps[(gaps[:, 1] - gaps[:, 0]) > settings.imu_gap],
         notes=(f"first attitude: {aligned.method}",),
-        doubts=_doubts(chi, nodes[0], refined, start - float(table[0, 0])),
+        doubts=_doubts(chi, nodes[0], aligned, start - float(table[0, 0])),
+        sigma_constant=_untold(aligned, settings) if blind else np.zeros(3),
     )  # fmt: skip
 
 
@@ -321,20 +326,10 @@ def _refuse_disagreement(chi: Array, source: str) -> None:
             )
 
 
-def _floor_attitude(
-    aligned: Alignment, settings: NavigationSettings, packed: Sequence[Array]
-) -> None:
-    """Widen the attitude of a flight without a turn or change of speed, in place.
-
-    There a tilt cannot be told from an accelerometer's bias, nor the heading from anything. The
-    filter's heading wanders while it settles, and a linear filter takes its own wandering for a
-    turn of the vehicle that separates the two: what it claims to know is chance.
-    """
+def _untold(aligned: Alignment, settings: NavigationSettings) -> Array:
+    """Sigma of the attitude, NED, that a flight without a turn does not tell, rad; (3,)."""
     level = settings.imu.accel_bias / GRAVITY
-    for rows in packed:
-        for column in LEVEL:
-            rows[:, column] = np.maximum(rows[:, column], level**2)
-        rows[:, HEADING] = np.maximum(rows[:, HEADING], aligned.sigma_heading**2)
+    return np.array([level, level, aligned.sigma_heading])
 
 
 def _refuse_wild_biases(x: Array, layout: _Layout, source: str) -> None:
@@ -381,7 +376,8 @@ def _refined(
     settings = replace(settings, gate=OPEN_GATE)
     begin = max(float(table[0, 0]), float(fixes.time[0]), aligned.time - FARTHEST_BACK)
     end = aligned.time + FIRST_STRETCH
-    wide = max(aligned.sigma_heading, START_HEADING)
+    held = aligned.sigma_heading <= HELD_HEADING and aligned.method != BY_FORCE
+    wide = aligned.sigma_heading if held else max(aligned.sigma_heading, START_HEADING)
     start = max(aligned.time, float(fixes.time[0]))
     found = _first_state(table, fixes, layout, settings, aligned, (start, end))
     if found is None:
@@ -395,7 +391,7 @@ def _refined(
         aligned, time=start, R_ned_from_body=found[0], sigma_heading=wide,
         sigma_level=START_LEVEL,
     )  # fmt: skip
-    if begin >= start - SHORT_WAIT or wide >= SIGMA_ANY:
+    if begin >= start - SHORT_WAIT:
         return better
     better = _with_bias(better, found, carried_back(table, better, found[1], begin), begin)
     for _ in range(ROUNDS):

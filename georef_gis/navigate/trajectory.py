@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,8 @@ class InertialTrajectory:
         See `kalman.run_filter`.
     gaps : shape (g, 2), s
         Where the IMU log has none to offer.
+    sigma_constant : shape (3,), rad
+        Of a constant attitude error of the whole flight, NED, that nothing in the log could tell.
     notes
         How it was found, in words.
     """
@@ -60,6 +62,7 @@ class InertialTrajectory:
     model: Array
     chi: Array
     gaps: Array
+    sigma_constant: Array = field(default_factory=lambda: np.zeros(3))
     notes: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
@@ -119,11 +122,10 @@ class InertialTrajectory:
             (self.filtered, self.smoothed), self.transitions, t, self._index(t),
         )  # fmt: skip
         order = np.array([*_POSE_FIRST, *range(9, P.shape[1])])
-        return StateChain(
-            time=t,
-            covariance=P[:, order[:, None], order],
-            gain=G[:, order[:, None], order],
-        )
+        P, G = P[:, order[:, None], order], G[:, order[:, None], order]
+        if np.any(self.sigma_constant > 0.0):
+            P, G = _with_constant_attitude(P, G, self.sigma_constant)
+        return StateChain(time=t, covariance=P, gain=G)
 
     def joint_covariance(self, times: ArrayLike) -> Array:
         """Joint covariance of the pose errors (dp_ned m, dtheta_ned rad) at increasing times."""
@@ -180,3 +182,21 @@ class InertialTrajectory:
         for name in ("notes", "doubts"):
             columns[name] = tuple(str(word) for word in columns[name])
         return cls(**columns)
+
+
+def _with_constant_attitude(P: Array, G: Array, sigma: Array) -> tuple[Array, Array]:
+    """Chain with three more states: constants that are added to the attitude of every time."""
+    k, n = P.shape[:2]
+    E = np.zeros((n, 3))
+    E[3:6] = np.eye(3)
+    S = np.diag(sigma**2)
+    P_out, G_out = np.zeros((k, n + 3, n + 3)), np.zeros((k, n + 3, n + 3))
+    P_out[:, :n, :n] = P + E @ S @ E.T
+    P_out[:, :n, n:] = E @ S
+    P_out[:, n:, :n] = S @ E.T
+    P_out[:, n:, n:] = S
+    # x_i = G (x_j - E c) + E c
+    G_out[:, :n, :n] = G
+    G_out[:, :n, n:] = E - G @ E
+    G_out[:, n:, n:] = np.eye(3)
+    return P_out, G_out
