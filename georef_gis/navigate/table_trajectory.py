@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from georef_gis.ellipsoid import meridian_radius, prime_vertical_radius
 from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, R_ned_from_body
 from georef_gis.model.logs import TrajectoryLog
@@ -26,6 +27,27 @@ CORRELATION = 30.0
 SIGMA_POSITION = 2.0
 SIGMA_LEVEL = math.radians(1.0)
 SIGMA_HEADING = math.radians(3.0)
+
+
+def of_imu(log: TrajectoryLog, antenna: Array, camera: Array) -> TrajectoryLog:
+    """A trajectory of the antenna or of the camera as that of the IMU.
+
+    Parameters
+    ----------
+    antenna, camera : shape (3,), m
+        Lever arms from the IMU in body axes.
+    """
+    arms = {"antenna": antenna, "camera": camera}
+    if log.position_of not in arms:
+        return log
+    n, e, d = (R_ned_from_body(*log.rpy.T) @ arms[log.position_of]).T
+    return replace(
+        log,
+        lat=log.lat - n / (meridian_radius(log.lat) + log.height),
+        lon=log.lon - e / ((prime_vertical_radius(log.lat) + log.height) * np.cos(log.lat)),
+        height=log.height + d,
+        position_of="imu",
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

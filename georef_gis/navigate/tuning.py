@@ -19,8 +19,10 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
 from georef_gis.model.logs import ImuLog
 from georef_gis.navigate.alignment import SIGMA_ANY, Alignment, align
+from georef_gis.navigate.filter_pass import imu_table
+from georef_gis.navigate.first_state import OPEN_GATE
 from georef_gis.navigate.gnss_noise import Fixes
-from georef_gis.navigate.inertial_solution import OPEN_GATE, imu_table, likelihood
+from georef_gis.navigate.inertial_solution import likelihood
 from georef_gis.navigate.settings import NavigationSettings
 
 # factors on the noise of gyro and accelerometer that are tried first, then neighbours

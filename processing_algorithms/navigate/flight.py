@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from georef_gis.model.logs import FlightLogs
+
 if TYPE_CHECKING:
-    from georef_gis.model.logs import FlightLogs, TrajectoryLog
+    from datetime import datetime
+
+    from georef_gis.model.logs import TrajectoryLog
     from georef_gis.model.pose import Mount
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.settings import NavigationSettings
@@ -55,7 +60,67 @@ def read_project_logs(project: Project, maps: Iterable[str] = ()) -> FlightLogs:
         for key, part in PARTS.items()
         if (path := getattr(settings, key)) is not None
     }
-    return clean_logs(read_logs(log_files(project), columns, take=take))
+    files = log_files(project)
+    table = _trajectory_table(take.get("trajectory"))
+    if table is not None:
+        path = take.pop("trajectory")
+        files = [file for file in files if file != path]
+    logs = read_logs(files, columns, take=take) if files else FlightLogs()
+    if table is not None:
+        words = (*logs.doubts, *table.doubts)
+        named = ", ".join(filter(None, ("trajectory table", logs.format)))
+        logs = replace(logs, trajectory=table, format=named, doubts=words)
+    return clean_logs(_with_week(project, logs, columns.date))
+
+
+def _trajectory_table(path: Path | None) -> TrajectoryLog | None:
+    """Trajectory in the project's own form of CSV; None if a file is something else."""
+    from georef_gis.ingest.logs.trajectory_table import (
+        is_trajectory_table,
+        read_trajectory_table,
+    )
+
+    if path is None or not path.is_file():
+        return None
+    with path.open("rb") as stream:
+        head = stream.read(65536)
+    return read_trajectory_table(path) if is_trajectory_table(head) else None
+
+
+def _with_week(project: Project, logs: FlightLogs, date: datetime | None) -> FlightLogs:
+    """Logs whose finished trajectory has seconds of the week only, with the week.
+
+    It is that of the other logs, of the stated date, or of the photos' clocks, whose time zone
+    is not known but shorter than half a week.
+    """
+    import numpy as np
+
+    from georef_gis.navigate.clock_fit import clock_seconds
+    from georef_gis.project.records import photo_of
+    from georef_gis.units import GPS_WEEK, gps_from_utc, week_from_gps
+
+    finished = logs.trajectory
+    if finished is None or finished.scale == "gps" or not len(finished):
+        return logs
+    middle = float(np.median(finished.time))
+    others = [log for log in (logs.imu, logs.gnss, logs.attitude, *logs.events) if log is not None]
+    near = [float(np.nanmedian(log.time)) for log in others if log.scale == "gps" and len(log)]
+    origin = "the other logs"
+    if not near and date is not None:
+        near, origin = [gps_from_utc(date)], "the stated date"
+    if not near:
+        clocks = [photo_of(row).camera_clock for row in project.database.rows("photo")]
+        near = [clock_seconds(clock) for clock in clocks if clock is not None]
+        origin = "the photos"
+    if not near or not -GPS_WEEK < middle < 2 * GPS_WEEK:
+        return logs
+    weeks = round((float(np.median(near)) - middle) / GPS_WEEK)
+    time = finished.time + weeks * GPS_WEEK
+    doubt = (
+        f"its times are seconds of the week: week {week_from_gps(time[0])[0]} of {origin} is taken"
+    )
+    doubts = (*(line for line in logs.doubts if "has no GPS week" not in line), doubt)
+    return replace(logs, trajectory=replace(finished, time=time, scale="gps"), doubts=doubts)
 
 
 def navigation_settings(project: Project) -> NavigationSettings:

@@ -9,16 +9,37 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from georef_gis.frames import Array
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.model.logs import EventLog
     from georef_gis.model.photo import Photo
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.clock_fit import ClockFit
     from georef_gis.navigate.exposures import ExposureTimes, MatchOptions, PhotoClock
-    from processing_algorithms.navigate.orient import _Work
+    from georef_gis.project.settings import LogsSection
 
 # s; the track is looked up on this grid
 GRID = 0.25
 # m, one sigma of a tagged position where the tag states none
 SIGMA_TAG = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """What photos are matched against.
+
+    Parameters
+    ----------
+    epoch : s
+        GPS time that the photos' times count from.
+    events
+        Noted exposures; None where there are none.
+    """
+
+    settings: LogsSection
+    frame: MapFrame
+    trajectory: Trajectory
+    epoch: float
+    events: EventLog | None
 
 
 @dataclass(slots=True)
@@ -27,9 +48,11 @@ class Said:
 
     notes: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
+    # columns of table `flight`
+    flight: dict[str, Any] = field(default_factory=dict)
 
 
-def match_flight(work: _Work, photos: Sequence[Photo]) -> tuple[ExposureTimes, Said]:
+def match_flight(scene: Scene, photos: Sequence[Photo]) -> tuple[ExposureTimes, Said]:
     """Exposure times of a flight's photos.
 
     Raises
@@ -43,19 +66,19 @@ def match_flight(work: _Work, photos: Sequence[Photo]) -> tuple[ExposureTimes, S
     from georef_gis.navigate.tag_evidence import with_tagged_places
 
     said = Said()
-    clocks = [_clock(photo, work.epoch) for photo in photos]
-    track = _track(work)
-    clock = _position_clock(work, photos, clocks, track, said)
-    found = match_exposures(clocks, work.events, _options(work), clock=clock)
+    clocks = [_clock(photo, scene.epoch) for photo in photos]
+    track = _track(scene)
+    clock = _position_clock(scene, photos, clocks, track, said)
+    found = match_exposures(clocks, scene.events, _options(scene), clock=clock)
     found = with_tagged_places(
         found,
-        np.empty(0) if work.events is None else work.events.time,
-        np.array([_tagged(work, photo) for photo in photos]),
+        np.empty(0) if scene.events is None else scene.events.time,
+        np.array([_tagged(scene, photo) for photo in photos]),
         np.array([_tag_sigma(photo) for photo in photos]),
         track,
     )
     said.doubts += [*found.doubts, *found.alternatives]
-    _tell(work, photos, found, said)
+    _tell(scene, photos, found, said)
     return found, said
 
 
@@ -73,10 +96,10 @@ def _clock(photo: Photo, epoch: float) -> PhotoClock:
     )
 
 
-def _options(work: _Work) -> MatchOptions:
+def _options(scene: Scene) -> MatchOptions:
     from georef_gis.navigate.exposures import MatchOptions
 
-    logs = work.project.settings.logs
+    logs = scene.settings
     return MatchOptions(
         offset=logs.camera_clock_offset_s,
         offset_sigma=logs.sigma_camera_clock_s,
@@ -84,14 +107,14 @@ def _options(work: _Work) -> MatchOptions:
     )
 
 
-def _track(work: _Work) -> Callable[[Array], tuple[Array, Array]]:
+def _track(scene: Scene) -> Callable[[Array], tuple[Array, Array]]:
     """Position (east, north) and velocity of the vehicle at times; NaN outside of the log."""
     import numpy as np
 
-    first, last = work.trajectory.span
+    first, last = scene.trajectory.span
     grid = np.arange(first, last, GRID)
-    grid = np.array([t for t in grid if not work.trajectory.why_not(float(t))])
-    p = work.frame.origin.enu_from_geo(_positions(work.trajectory, grid))[:, :2]
+    grid = np.array([t for t in grid if not scene.trajectory.why_not(float(t))])
+    p = scene.frame.origin.enu_from_geo(_positions(scene.trajectory, grid))[:, :2]
     v = np.gradient(p, grid, axis=0)
 
     def track(times: Array) -> tuple[Array, Array]:
@@ -113,7 +136,7 @@ def _positions(trajectory: Trajectory, times: Array) -> Array:
 
 
 def _position_clock(
-    work: _Work,
+    scene: Scene,
     photos: Sequence[Photo],
     clocks: Sequence[PhotoClock],
     track: Callable[[Array], tuple[Array, Array]],
@@ -130,15 +153,15 @@ def _position_clock(
     )
     from georef_gis.navigate.tag_evidence import TAG_AGE
 
-    stated = work.project.settings.logs.camera_clock_offset_s is not None
+    stated = scene.settings.camera_clock_offset_s is not None
     timed = sum(c.time_gps is not None for c in clocks)
     if stated or timed >= max(3, len(clocks) // 2):
         return None
     readings = np.array([math.nan if c.clock is None else c.clock for c in clocks])
     resolution = np.array([c.resolution for c in clocks])
-    place = np.array([_tagged(work, photo) for photo in photos])
+    place = np.array([_tagged(scene, photo) for photo in photos])
     sigma = np.array([_tag_sigma(photo) for photo in photos])
-    first, last = work.trajectory.span
+    first, last = scene.trajectory.span
     try:
         clock = clock_from_positions(
             TaggedPositions(
@@ -154,12 +177,12 @@ def _position_clock(
         return None
 
 
-def _tagged(work: _Work, photo: Photo) -> list[float]:
+def _tagged(scene: Scene, photo: Photo) -> list[float]:
     """East and north of a tag, m; NaN without one."""
     if photo.geotag is None:
         return [math.nan, math.nan]
-    height = work.frame.origin.height_ellipsoidal
-    p = work.frame.origin.enu_from_geo([photo.geotag.lat, photo.geotag.lon, height])
+    height = scene.frame.origin.height_ellipsoidal
+    p = scene.frame.origin.enu_from_geo([photo.geotag.lat, photo.geotag.lon, height])
     return [float(p[0]), float(p[1])]
 
 
@@ -168,14 +191,14 @@ def _tag_sigma(photo: Photo) -> float:
     return tag.sigma_h if tag is not None and tag.sigma_h else SIGMA_TAG
 
 
-def _tell(work: _Work, photos: Sequence[Photo], found: ExposureTimes, said: Said) -> None:
+def _tell(scene: Scene, photos: Sequence[Photo], found: ExposureTimes, said: Said) -> None:
     """Notes for people, and the columns of table `flight`."""
-    columns: dict[str, Any] = {"start_gps": work.trajectory.span[0] - work.epoch,
-                               "end_gps": work.trajectory.span[1] - work.epoch}  # fmt: skip
+    columns: dict[str, Any] = {"start_gps": scene.trajectory.span[0] - scene.epoch,
+                               "end_gps": scene.trajectory.span[1] - scene.epoch}  # fmt: skip
     matched = sum(index >= 0 for index in found.event)
-    if work.events is not None:
+    if scene.events is not None:
         said.notes.append(
-            f"{matched} of {len(photos)} photos matched to {len(work.events)} {_kind(work)} "
+            f"{matched} of {len(photos)} photos matched to {len(scene.events)} {_kind(scene)} "
             f"events; "
             f"{len(found.missed)} photos without event, {len(found.spurious)} events without photo"
         )
@@ -190,8 +213,8 @@ def _tell(work: _Work, photos: Sequence[Photo], found: ExposureTimes, said: Said
             f"camera clock less GPS time: {clock.offset:.2f} +- {clock.sigma:.2f} s "
             f"({clock.source})"
         )
-    work.flights_found[photos[0].flight_id] = columns
+    said.flight = columns
 
 
-def _kind(work: _Work) -> str:
-    return "" if work.events is None else work.events.kind.replace("_", " ")
+def _kind(scene: Scene) -> str:
+    return "" if scene.events is None else scene.events.kind.replace("_", " ")

@@ -13,7 +13,7 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from georef_gis.frames import Array
-    from georef_gis.model.logs import FlightLogs
+    from georef_gis.model.logs import FlightLogs, TrajectoryLog
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.trajectory import InertialTrajectory
     from georef_gis.project import Project
@@ -154,7 +154,7 @@ def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...
     has_imu = logs.imu is not None and len(logs.imu) > 0
     has_gnss = logs.gnss is not None and len(logs.gnss) > 0
     if logs.trajectory is not None and chosen == "auto" and not (has_imu and has_gnss):
-        return _finished(logs)
+        return _finished(project, logs)
     places = find_places(project, logs)
     if places is None:
         raise NavigationError(
@@ -173,11 +173,20 @@ def _trajectory(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...
     return trajectory, (*notes, *said)
 
 
-def _finished(logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
-    from georef_gis.navigate.table_trajectory import TableTrajectory
-
+def _finished(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
     assert logs.trajectory is not None
-    return TableTrajectory(log=logs.trajectory), (f"finished trajectory: {logs.format}",)
+    return _table(project, logs.trajectory), (f"finished trajectory: {logs.format}",)
+
+
+def _table(project: Project, log: TrajectoryLog) -> Any:
+    """Rows of a trajectory, carried to the IMU."""
+    import numpy as np
+
+    from georef_gis.navigate.table_trajectory import TableTrajectory, of_imu
+
+    mount = project.settings.mount
+    arms = np.array(mount.lever_arm_antenna_m), np.array(mount.lever_arm_camera_m)
+    return TableTrajectory(log=of_imu(log, *arms))
 
 
 def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
@@ -275,10 +284,17 @@ def _kinematic(project: Project, logs: FlightLogs, places: Places) -> tuple[Any,
 
 
 def _report_filter(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]:
+    import numpy as np
+
     from georef_gis.navigate.ekf9 import run_ekf9, trajectory_of_ekf9
-    from georef_gis.navigate.table_trajectory import TableTrajectory
+    from georef_gis.navigate.gnss_noise import prepare_fixes
 
     assert logs.imu is not None
     assert logs.gnss is not None
     log = trajectory_of_ekf9(run_ekf9(logs.imu, logs.gnss))
-    return TableTrajectory(log=log), ("the 9-state filter of the 2009 report, smoothed",)
+    # the report's filter takes every error of the fixes for white; the slow part stays
+    gnss = project.settings.gnss
+    slow = prepare_fixes(logs.gnss, slow_sigma=gnss.slow_sigma_m, geoid=gnss.geoid).slow
+    covariance = log.covariance + np.diag([*slow**2, 0.0, 0.0, 0.0])
+    notes = ("the 9-state filter of the 2009 report, smoothed", *_gnss_notes(slow))
+    return _table(project, replace(log, covariance=covariance)), notes

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 SURE = 0.99
 # and one that is less likely than this has a sigma that covers the neighbouring event
 LIKELY = 0.95
+# and an event that is less likely than this is worse than the photo's own tags
+UNLIKELY = 0.8
 # deg; a camera that differs more from its tags is mounted otherwise than stated
 MOUNT_DIFFERENCE = 25.0
 # of several kinds of events the first that there is
@@ -148,15 +150,20 @@ class _Work:
 
     def orient(self, photos: list[Photo]) -> list[str]:
         """Times and poses of one flight; what is doubtful, in words."""
-        from processing_algorithms.navigate.matching import match_flight
+        from processing_algorithms.navigate.matching import Scene, match_flight
 
-        found, said = match_flight(self, photos)
+        scene = Scene(
+            settings=self.project.settings.logs, frame=self.frame, trajectory=self.trajectory,
+            epoch=self.epoch, events=self.events,
+        )  # fmt: skip
+        found, said = match_flight(scene, photos)
         self.notes += said.notes
+        self.flights_found[photos[0].flight_id] = said.flight
         usable = []
         for i, photo in enumerate(photos):
             time = float(found.time[i])
             self._note_time(photo, found, i)
-            why = self.trajectory.why_not(time)
+            why = self.trajectory.why_not(time) or self._unlikely(photo, found, i)
             if why:
                 self.doubts.setdefault(photo.id, []).append(f"{why}: keeps the pose of its tags")
             else:
@@ -171,6 +178,13 @@ class _Work:
             if len(left) > 3:
                 lines.append(f"{len(left)} of {len(photos)} photos keep the poses of their tags")
         return lines
+
+    def _unlikely(self, photo: Photo, found: ExposureTimes, i: int) -> str:
+        """Why an event is not to be believed where the photo has tags; empty where it is."""
+        confidence = float(found.confidence[i])
+        if found.event[i] < 0 or confidence >= UNLIKELY or photo.id not in self.tags:
+            return ""
+        return f"its exposure is matched with a confidence of {100 * confidence:.0f} % only"
 
     def _note_time(self, photo: Photo, found: ExposureTimes, i: int) -> None:
         time, sigma = float(found.time[i]), float(found.sigma[i])
@@ -299,7 +313,10 @@ class _Work:
         rows, refused = [], []
         for name, pose in self.poses.items():
             agl = float(pose.origin_enu[2] - terrain.z_at(pose.origin_enu[:2]))
-            if not agl > 0.0:
+            if math.isnan(agl):
+                refused.append(f"{name}: the trajectory puts it where the DEM has no height")
+                continue
+            if agl <= 0.0:
                 refused.append(f"{name}: the trajectory puts it {-agl:.0f} m below the ground")
                 continue
             rows.append(self._row(name, pose, agl, run_id))
@@ -395,18 +412,22 @@ def _spun(R_enu_from_cam: Array, angle: float) -> Array:
 
 
 def _time_variance(found: ExposureTimes, order: Sequence[int]) -> Array:
-    """Variance of the exposure times, s^2; a doubtful match may be a whole interval off.
+    """Variance of the exposure times, s^2, in order of time; a doubtful match may be one off.
 
     A match that is nearly sure keeps its own sigma: a chance of one in a hundred of a gross error
     belongs into its confidence, not into a sigma that would hide how good the others are.
     """
     import numpy as np
 
-    times = found.time[list(order)]
-    interval = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    confidence = found.confidence[list(order)]
+    chosen = list(order)
+    steps = np.diff(found.time[chosen])
+    usual = float(np.median(steps)) if len(steps) else 1.0
+    # an event may be its neighbour's, across a turn too; a clock is off by less than an interval
+    widest = np.maximum(np.append(steps, usual), np.insert(steps, 0, usual))
+    interval = np.where(found.event[chosen] >= 0, widest, usual)
+    confidence = found.confidence[chosen]
     doubt = np.where(confidence < LIKELY, 1.0 - confidence, 0.0)
-    return np.asarray(found.sigma[list(order)] ** 2 + doubt * interval**2)
+    return np.asarray(found.sigma[chosen] ** 2 + doubt * interval**2)
 
 
 def _events(project: Project, photos: int) -> EventLog | None:

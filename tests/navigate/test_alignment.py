@@ -15,8 +15,8 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, exp_so3, log_so3
 from georef_gis.model.logs import GnssLog, unknown
 from georef_gis.navigate.alignment import SIGMA_ANY, Alignment, align, carried_back
+from georef_gis.navigate.filter_pass import imu_table
 from georef_gis.navigate.gnss_noise import prepare_fixes
-from georef_gis.navigate.inertial_solution import imu_table
 from georef_gis.simulate import SimulatedFlight
 
 SURVEYS = [(seed, gnss) for seed in range(3) for gnss in ("white", "coloured")]

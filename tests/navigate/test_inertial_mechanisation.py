@@ -6,8 +6,8 @@ from navigation_flights import drawn, logs_of, truth_at
 
 from georef_gis.frames import Array, exp_so3
 from georef_gis.navigate.dense import cholesky, solve_rows
+from georef_gis.navigate.filter_pass import imu_table
 from georef_gis.navigate.inertial import advance, gravity, nav_of, propagate, reset_transition
-from georef_gis.navigate.inertial_solution import imu_table
 from georef_gis.navigate.kalman import difference, inject, pack, unpack
 
 RNG = np.random.default_rng(7)
