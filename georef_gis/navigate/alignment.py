@@ -234,7 +234,7 @@ def _by_course(
         base = base @ R_start[at].T @ R_start[first]
     return Alignment(
         time=float(edges[first]),
-        R_ned_from_body=_with_heading(base, course),
+        R_ned_from_body=with_heading(base, course),
         sigma_level=SIGMA_LEVEL,
         sigma_heading=SIGMA_COURSE,
         method="course",
@@ -265,7 +265,8 @@ def _level_at(imu: Array, time: float) -> Array:
     return R_ned_from_body(roll, pitch, 0.0)
 
 
-def _with_heading(R: Array, heading: float) -> Array:
+def with_heading(R: Array, heading: float) -> Array:
+    """Attitude turned about the vertical until it has a heading, rad; (3, 3)."""
     turn = heading - math.atan2(R[1, 0], R[0, 0])
     return np.asarray(exp_so3([0.0, 0.0, turn]) @ R)
 

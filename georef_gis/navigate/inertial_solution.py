@@ -13,8 +13,8 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
 from georef_gis.model.logs import AidLog, ImuLog
 from georef_gis.navigate.alignment import (
+    BY_FORCE,
     SIGMA_ANY,
-    SIGMA_COURSE,
     Alignment,
     align,
     carried_back,
@@ -81,7 +81,7 @@ def smooth_flight(
     _check_overlap(table, fixes, imu.source)
     layout = make_layout(settings, fixes.slow, aids)
     aligned = align(table, fixes) if aligned is None else aligned
-    blind = aligned.sigma_heading >= SIGMA_COURSE and not any(a.kind == "heading" for a in aids)
+    blind = aligned.method != BY_FORCE and not any(aid.kind == "heading" for aid in aids)
     held = replace(aligned, sigma_heading=HELD_HEADING) if blind else aligned
     refined = refined_start(table, fixes, layout, settings, held)
     start = max(float(table[0, 0]), float(fixes.time[0]), refined.time)

@@ -15,9 +15,15 @@ if TYPE_CHECKING:
     from georef_gis.frames import Array
     from georef_gis.model.logs import FlightLogs, TrajectoryLog
     from georef_gis.model.trajectory import Trajectory
+    from georef_gis.navigate.alignment import Alignment
+    from georef_gis.navigate.gnss_noise import Fixes
     from georef_gis.navigate.trajectory import InertialTrajectory
     from georef_gis.project import Project
     from processing_algorithms.navigate.places import Places
+
+
+# deg, one sigma of an autopilot's heading
+HEADING_OF_LOG = 10.0
 
 
 class NavigateParameters(p.Parameters):
@@ -97,7 +103,7 @@ def _navigate(
     project: Project, parameters: NavigateParameters, feedback: Feedback
 ) -> tuple[dict[str, Path], dict[str, Any]]:
     from georef_gis.toolbox.context import check_cancelled
-    from processing_algorithms.navigate.flight import TRAJECTORY, read_project_logs, words
+    from processing_algorithms.navigate.flight import MAPS, TRAJECTORY, read_project_logs, words
 
     feedback.progress(0.05, "reading logs")
     logs = read_project_logs(project, parameters.map)
@@ -106,6 +112,7 @@ def _navigate(
     trajectory, notes = _trajectory(project, logs)
     check_cancelled(feedback)
     project.navigation.mkdir(parents=True, exist_ok=True)
+    project.database.set_meta(**{MAPS: list(parameters.map)})
     outputs = {"trajectory": project.navigation / TRAJECTORY}
     trajectory.save(outputs["trajectory"])
     outputs |= _tell(project, trajectory, logs, plots=parameters.plots)
@@ -204,10 +211,13 @@ def _inertial(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, ...]]
     )
     tuned = tune(logs.imu, fixes, settings, noise=imu.tune, delay=gnss.latency_s is None)
     aids = _aids(project, logs)
-    trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, aids)
+    first = _first_attitude(logs, tuned.fixes)
+    trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, aids, aligned=first)
     headings = _compass(project, logs, trajectory)
     if headings:
-        trajectory = smooth_flight(logs.imu, tuned.fixes, tuned.settings, (*aids, *headings))
+        trajectory = smooth_flight(
+            logs.imu, tuned.fixes, tuned.settings, (*aids, *headings), aligned=first
+        )
     notes = (*trajectory.notes, *tuned.notes, *_gnss_notes(fixes.slow))
     doubts = (*trajectory.doubts, *tuned.doubts)
     return replace(trajectory, notes=notes, doubts=doubts), notes
@@ -224,6 +234,34 @@ def _aids(project: Project, logs: FlightLogs) -> tuple[Any, ...]:
     """Aids that [imu] use names, but for a magnetic field, which needs roll and pitch first."""
     wanted = set(project.settings.imu.use) - {"magnetic_field"}
     return tuple(aid for aid in logs.aids if aid.kind in wanted)
+
+
+def _first_attitude(logs: FlightLogs, fixes: Fixes) -> Alignment:
+    """Attitude to start from; an autopilot's heading where the flight itself tells none."""
+    import math
+
+    import numpy as np
+
+    from georef_gis.navigate.alignment import BY_FORCE, align, with_heading
+    from georef_gis.navigate.filter_pass import imu_table
+
+    assert logs.imu is not None
+    found = align(imu_table(logs.imu), fixes)
+    attitude = logs.attitude
+    if found.method == BY_FORCE or attitude is None or len(attitude) == 0:
+        return found
+    near = int(np.argmin(np.abs(attitude.time - found.time)))
+    heading = float(attitude.rpy[near, 2])
+    if attitude.scale != logs.imu.scale or abs(attitude.time[near] - found.time) > 1.0:
+        return found
+    if not math.isfinite(heading):
+        return found
+    return replace(
+        found,
+        R_ned_from_body=with_heading(found.R_ned_from_body, heading),
+        sigma_heading=math.radians(HEADING_OF_LOG),
+        method="heading of the autopilot's log",
+    )
 
 
 def _compass(project: Project, logs: FlightLogs, trajectory: InertialTrajectory) -> list[Any]:
