@@ -141,7 +141,8 @@ def load_ground(project: Project, frame: MapFrame) -> Terrain:
     positions = [
         [row["x_enu"], row["y_enu"], row["z_enu"]] for row in project.database.rows("pose")
     ]
-    dem = read_dem(project, frame, np.array(positions))
+    # before there is any pose the origin, which lies amid the flight, stands for them
+    dem = read_dem(project, frame, np.array(positions or [[0.0, 0.0, 0.0]]))
     return dem.terrain(facts.get("dem_unit_m", dem.unit or 1.0))
 
 

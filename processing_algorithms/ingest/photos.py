@@ -121,21 +121,17 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
     """Map CRS of the project and an origin amid the photos."""
     import numpy as np
 
-    from georef_gis.errors import MissingMetadataError
     from georef_gis.geodesy import Datum, MapFrame, Origin, geoid_undulation, map_crs, utm_crs
     from processing_algorithms.site import middle_of
 
     tags = [photo.geotag for photo in photos if photo.geotag is not None]
-    if not tags:
-        raise MissingMetadataError(
-            "no photo has a GPS position; give the positions in a file ([poses] file)",
-            source=str(project.settings.photos.folder),
-            field="GPS",
-        )
-    # The median: one position on another continent must not move the origin there.
-    lat, lon = middle_of(tags)
-    heights = [tag.height for tag in tags if tag.height is not None]
-    level = float(np.median([h.value for h in heights])) if heights else 0.0
+    if tags:
+        # The median: one position on another continent must not move the origin there.
+        lat, lon = middle_of(tags)
+        heights = [tag.height for tag in tags if tag.height is not None]
+        level = float(np.median([h.value for h in heights])) if heights else 0.0
+    else:
+        lat, lon, level = _place_of_logs(project)
     # The height of the origin only sets where enu's zero lies.
     origin = Origin(lat=lat, lon=lon, height_ellipsoidal=round(level, 1))
     settings = project.settings
@@ -152,6 +148,23 @@ def _frame(project: Project, photos: list[Photo]) -> MapFrame:
     frame.check_inside(np.zeros((1, 3)))
     geoid_undulation(lat, lon, geoid=settings.gnss.geoid)
     return frame
+
+
+def _place_of_logs(project: Project) -> tuple[float, float, float]:
+    """Lat, lon (rad) and height (m) amid the logs, for photos that have no position."""
+    from georef_gis.errors import MissingMetadataError
+    from processing_algorithms.navigate.flight import log_files, read_project_logs
+    from processing_algorithms.navigate.places import middle_of_logs
+
+    place = middle_of_logs(read_project_logs(project)) if log_files(project) else None
+    if place is None:
+        raise MissingMetadataError(
+            "no photo has a GPS position; give the positions in a file ([poses] file), or the logs "
+            "of the flight ([logs])",
+            source=str(project.settings.photos.folder),
+            field="GPS",
+        )
+    return place
 
 
 def _crs_file(project: Project) -> Path | None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 # s; the track is looked up on this grid
 GRID = 0.25
+# s; no time zone and no carelessness puts a clock that was set farther off
+LONGEST_ZONE = 1.5 * 86400.0
 # m, one sigma of a tagged position where the tag states none
 SIGMA_TAG = 3.0
 
@@ -155,7 +157,8 @@ def _position_clock(
 
     stated = scene.settings.camera_clock_offset_s is not None
     timed = sum(c.time_gps is not None for c in clocks)
-    if stated or timed >= max(3, len(clocks) // 2):
+    placed = any(photo.geotag is not None for photo in photos)
+    if stated or not placed or timed >= max(3, len(clocks) // 2):
         return None
     readings = np.array([math.nan if c.clock is None else c.clock for c in clocks])
     resolution = np.array([c.resolution for c in clocks])
@@ -213,6 +216,12 @@ def _tell(scene: Scene, photos: Sequence[Photo], found: ExposureTimes, said: Sai
             f"camera clock less GPS time: {clock.offset:.2f} +- {clock.sigma:.2f} s "
             f"({clock.source})"
         )
+        if abs(clock.offset) > LONGEST_ZONE:
+            said.doubts.append(
+                f"the camera's clock is {abs(clock.offset) / 86400.0:.1f} days "
+                f"{'ahead of' if clock.offset > 0 else 'behind'} the logs: it was never set, or the "
+                "logs are of another flight over the same ground"
+            )
     said.flight = columns
 
 

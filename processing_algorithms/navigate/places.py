@@ -128,3 +128,18 @@ def _timed_tags(project: Project) -> list[tuple[float, float, float, float]]:
         if math.isfinite(height):
             out.append((float(time), tag.lat, tag.lon, height))
     return out
+
+
+def middle_of_logs(logs: FlightLogs) -> tuple[float, float, float] | None:
+    """Median lat, lon (rad) and height (m, of whatever kind) of the logs; None where none is."""
+    import numpy as np
+
+    for log in (logs.gnss, logs.trajectory, *logs.events):
+        if log is None:
+            continue
+        places = np.stack([log.lat, log.lon, log.height], axis=-1)
+        places = places[np.isfinite(places).all(axis=1)]
+        if len(places):
+            lat, lon, height = np.median(places, axis=0)
+            return float(lat), float(lon), float(height)
+    return None

@@ -54,6 +54,8 @@ class OrientDirect(Algorithm[p.Parameters]):
         frame = load_frame(project.database)
         photos = [_with_dialect(photo_of(row), project) for row in project.database.rows("photo")]
         photos = _in_time(photos)
+        if all(photo.geotag is None for photo in photos):
+            return _without_tags(context, frame, feedback)
         ground, dem_unit = _ground(project, frame, photos, feedback)
         placed = [photo for photo in photos if photo.geotag is not None]
         heights = _heights(placed, frame, ground, project)
@@ -76,6 +78,46 @@ class OrientDirect(Algorithm[p.Parameters]):
             "doubts": doubts,
         }
         return Result(summary=summary)
+
+
+def _without_tags(context: Context, frame: MapFrame, feedback: Feedback) -> Result:
+    """Settle the ground alone where no photo has a position: the logs give the poses."""
+    import numpy as np
+
+    from georef_gis.errors import MissingMetadataError
+    from georef_gis.model.terrain import FlatTerrain, Terrain
+    from georef_gis.orient.heights import SIGMA_FLAT_GROUND
+    from processing_algorithms.dem import read_dem
+    from processing_algorithms.site import ground_facts, stated_ground_height
+
+    project = context.require_project()
+    ground, database = project.settings.ground, project.database
+    stated = stated_ground_height(project)
+    facts = None
+    terrain: Terrain
+    if ground.dem is not None:
+        dem = read_dem(project, frame, np.zeros((1, 3)))
+        unit = dem.unit or 1.0
+        path = project.path(ground.dem)
+        facts = {**ground_facts(dem.terrain(unit), "DEM", path), "dem_unit_m": unit}
+    elif stated is not None:
+        height = stated.ellipsoidal(frame.origin.lat, frame.origin.lon)
+        sigma = ground.sigma_m or SIGMA_FLAT_GROUND
+        terrain = FlatTerrain(origin=frame.origin, height_ellipsoidal=height, sigma=sigma)
+        facts = ground_facts(terrain, "[ground] height_m", None)
+    elif ground.height_above_ground_m is None:
+        raise MissingMetadataError(
+            "no photo has a position that would tell the height above the ground; set [ground] "
+            "dem, height_m or height_above_ground_m",
+            source="project.toml",
+            field="ground",
+        )
+    line = "no photo has a position in its tags: poses come from the logs alone"
+    feedback.warn(line)
+    with database.transaction():
+        database.replace_rows("pose", [], where={"kind": "tags"})
+        database.set_meta(ground=facts)
+    return Result(summary={"oriented": 0, "doubts": [line]})
 
 
 def _in_time(photos: list[Photo]) -> list[Photo]:

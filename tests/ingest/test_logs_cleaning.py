@@ -418,6 +418,18 @@ def test_calendar_of_receivers_without_it_is_set_right(flight: FlightLogs, weeks
     assert ("week is missing" if weeks == 0 else "roll-over") in words(cleaned)
 
 
+def test_log_without_a_week_lies_by_the_others_across_the_turn_of_the_week() -> None:
+    turn = gps_from_week(1701, 0.0)
+    aid = AidLog(kind="airspeed", time=turn + np.arange(2.0, 40.0), value=np.full(38, 20.0),
+                 sigma=unknown(38))  # fmt: skip
+    # most of this one lies before the turn, and its stamps count from there without a week
+    tow = np.arange(-60.0, 5.0) % GPS_WEEK
+    time = np.unwrap(tow, period=GPS_WEEK)
+    late = AidLog(kind="baro_height", time=time, value=np.full(65, 100.0), sigma=unknown(65))
+    cleaned = clean_logs(FlightLogs(aids=(aid, late)))
+    assert cleaned.aids[1].time[0] == pytest.approx(turn - 60.0, abs=1e-3)  # s
+
+
 def test_no_week_anywhere_is_named() -> None:
     imu = ImuLog(
         time=2000.0 + np.arange(1000) / 100,

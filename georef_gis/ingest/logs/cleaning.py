@@ -105,18 +105,16 @@ def _parts(logs: FlightLogs) -> list[TimedLog]:
 
 def _on_one_calendar(logs: FlightLogs) -> FlightLogs:
     """Missing weeks taken from the other logs, rolled-over weeks set right."""
-    weeks = [
-        week_from_gps(_middle(log))[0]
-        for log in _parts(logs)
-        if log.scale == "gps" and _middle(log) >= 2 * GPS_WEEK
+    middles = [
+        _middle(log) for log in _parts(logs) if log.scale == "gps" and _middle(log) >= 2 * GPS_WEEK
     ]
-    week = max(set(weeks), key=weeks.count) if weeks else None
+    others = float(np.median(middles)) if middles else None
 
     def dated(log: Log) -> Log:
-        return _dated(log, week)
+        return _dated(log, others)
 
     def maybe(log: Log | None) -> Log | None:
-        return None if log is None else _dated(log, week)
+        return None if log is None else _dated(log, others)
 
     return replace(
         logs,
@@ -134,7 +132,7 @@ def _middle(log: TimedLog) -> float:
     return float(np.median(finite)) if len(finite) else math.nan
 
 
-def _dated(log: Log, week: int | None) -> Log:
+def _dated(log: Log, others: float | None) -> Log:
     from datetime import UTC, datetime
 
     middle = _middle(log)
@@ -143,11 +141,13 @@ def _dated(log: Log, week: int | None) -> Log:
     doubt = ""
     add = 0.0
     if -GPS_WEEK < middle < 2 * GPS_WEEK:
-        if week is None:
+        if others is None:
             doubt = "the GPS week is missing (date of 1980): times are seconds of an unknown week"
             return replace(log, doubts=(*log.doubts, doubt))
-        add = (week - week_from_gps(middle)[0]) * GPS_WEEK
-        doubt = f"the GPS week is missing (date of 1980): week {week} of the other logs is taken"
+        # the nearest, not the same: a flight may straddle the turn of the week
+        add = round((others - middle) / GPS_WEEK) * GPS_WEEK
+        week = week_from_gps(middle + add)[0]
+        doubt = f"the GPS week is missing (date of 1980): week {week} by the other logs is taken"
     first = gps_from_utc(datetime(*_FIRST_DATE, tzinfo=UTC))
     if middle + add < first:
         rolls = math.ceil((first - middle - add) / (_ROLL_OVER * GPS_WEEK))

@@ -1,0 +1,231 @@
+"""The unit of a DEM's heights where its file does not state it, and what the run says of it."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from pyproj import CRS
+from tool_cases import SAMPLE, georef
+
+from georef_gis.geodesy import Height, HeightKind, MapFrame, Origin, geoid_undulation, parse_crs
+from georef_gis.model.photo import Geotag, Photo
+from georef_gis.project import Project
+from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
+from processing_algorithms.dem import choose_unit, read_dem
+
+LAT, LON = math.radians(39.0975), math.radians(-80.467)
+SITE = Origin(lat=LAT, lon=LON, height_ellipsoidal=280.0)
+N = float(geoid_undulation(LAT, LON))
+# West Virginia North in metres and in US survey feet
+METRES, US_FEET = "EPSG:6600", "EPSG:6601"
+
+
+def project_with_dem(
+    folder: Path, stored: float, crs: str = US_FEET, *, text: str = "", band: str = ""
+) -> Project:
+    """Project whose DEM holds one number under the site."""
+    frame = MapFrame(SITE, parse_crs(crs))
+    left, top = frame.map_from_enu([-900.0, 900.0, 0.0])[:2]
+    right = frame.map_from_enu([900.0, 900.0, 0.0])[0]
+    step = float(right - left) / 40
+    folder.mkdir(exist_ok=True)
+    with rasterio.open(
+        folder / "dem.tif", "w", driver="GTiff", width=40, height=40, count=1, dtype="float32",
+        crs=CRS(crs).to_wkt(), transform=rasterio.Affine(step, 0, left, 0, -step, top),
+    ) as target:  # fmt: skip
+        target.write(np.full((40, 40), stored, np.float32), 1)
+        if band:
+            target.set_band_unit(1, band)
+    (folder / "project.toml").write_text(f'[ground]\ndem = "dem.tif"\n{text}')
+    return Project.open(folder)
+
+
+def photos(height: float, kind: str, above: float | None) -> list[Photo]:
+    tag = Geotag(lat=LAT, lon=LON, height=Height(value=height, kind=HeightKind(kind)))
+    return [
+        Photo(id=f"P{i}", path=Path(f"P{i}.JPG"), width=9, height=9, geotag=tag,
+              height_above_takeoff=above)
+        for i in range(3)
+    ]  # fmt: skip
+
+
+def chosen(project: Project, taken: list[Photo]):
+    frame = MapFrame(SITE, parse_crs("EPSG:32617"))
+    dem = read_dem(project, frame, np.array([[0.0, 0.0, 60.0]]))
+    choice = choose_unit(dem, taken)
+    ground = dem.terrain(choice.unit).height_at_map(dem.frame.map_from_enu([0.0, 0.0, 0.0])[:2])
+    return choice, float(ground) - N
+
+
+@pytest.mark.parametrize(
+    ("height", "kind", "above"),
+    [
+        (374.0, "orthometric", 60.0),
+        (374.0 + N, "ellipsoidal", 60.0),
+        (374.0, "unknown", 60.0),
+        (374.0 + N, "unknown", 60.0),
+    ],
+)
+@pytest.mark.parametrize(("stored", "unit"), [(314.0, 1.0), (314.0 / US_SURVEY_FOOT, 0.3048006)])
+def test_heights_above_take_off_tell_metres_from_feet(
+    tmp_path: Path, height: float, kind: str, above: float, stored: float, unit: float
+) -> None:
+    choice, ground = chosen(project_with_dem(tmp_path, stored), photos(height, kind, above))
+    assert choice.unit == pytest.approx(unit, rel=1e-6)
+    assert choice.doubt == ""
+    assert "above the ground" in choice.told
+    # m; the geoid's grid and float32
+    assert ground == pytest.approx(314.0, abs=0.05)
+
+
+def test_a_camera_below_the_ground_tells_feet_without_any_relative_height(tmp_path: Path) -> None:
+    project = project_with_dem(tmp_path, 314.0 / US_SURVEY_FOOT)
+    choice, ground = chosen(project, photos(374.0, "orthometric", None))
+    assert choice.doubt == ""
+    assert ground == pytest.approx(314.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("stored", "taken"),
+    [
+        (314.0, photos(374.0, "orthometric", None)),
+        (6.0, photos(66.0, "orthometric", 60.0)),
+        (314.0, photos(60.01, "unknown", 60.0)),
+        (314.0, photos(60.0, "above_ground", None)),
+    ],
+    ids=["no relative height", "by the sea", "relative as absolute", "above ground only"],
+)
+def test_what_the_tags_do_not_tell_is_a_doubt_that_names_the_setting(
+    tmp_path: Path, stored: float, taken: list[Photo]
+) -> None:
+    choice, _ = chosen(project_with_dem(tmp_path, stored), taken)
+    assert "[ground] dem_unit" in choice.doubt
+    assert "dem.tif" in choice.doubt
+    assert "\n" not in choice.doubt
+    assert choice.unit == pytest.approx(US_SURVEY_FOOT, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"), [("m", 1.0), ("ft", INTERNATIONAL_FOOT), ("us-ft", US_SURVEY_FOOT)]
+)
+@pytest.mark.parametrize("crs", [US_FEET, METRES, "EPSG:32617+6360"])
+def test_the_users_unit_goes_before_all_others(
+    tmp_path: Path, name: str, unit: float, crs: str
+) -> None:
+    project = project_with_dem(
+        tmp_path, 314.0 / unit, crs, text=f'dem_unit = "{name}"\n', band="metre"
+    )
+    choice, ground = chosen(project, photos(374.0, "orthometric", 60.0))
+    assert (choice.told, choice.doubt) == ("", "")
+    assert ground == pytest.approx(314.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("crs", "band", "unit"),
+    [
+        (METRES, "", 1.0),
+        ("EPSG:4326", "", 1.0),
+        (US_FEET, "m", 1.0),
+        (US_FEET, "US survey foot", US_SURVEY_FOOT),
+        (METRES, "foot", INTERNATIONAL_FOOT),
+        (f"{US_FEET}+6360", "", US_SURVEY_FOOT),
+        (f"{US_FEET}+5703", "", 1.0),
+    ],
+)
+def test_a_stated_unit_is_taken_without_a_word(
+    tmp_path: Path, crs: str, band: str, unit: float
+) -> None:
+    project = project_with_dem(tmp_path, 314.0 / unit, crs, band=band)
+    # The tags would say otherwise: they are not asked.
+    choice, ground = chosen(project, photos(5000.0, "orthometric", 10.0))
+    assert (choice.told, choice.doubt) == ("", "")
+    assert ground == pytest.approx(314.0, abs=0.05)
+
+
+# -- in a run ----------------------------------------------------------------------------------
+
+STEPS = "read_photos,orient_direct,footprints"
+
+
+def real_project(folder: Path, stored_unit: float, text: str) -> Path:
+    """Two photos of the sample, its DEM in a CRS of feet without a vertical part."""
+    (folder / "photos").mkdir(parents=True)
+    for name in ("IMG_0004.JPG", "IMG_0005.JPG"):
+        shutil.copy(SAMPLE / "photos" / name, folder / "photos")
+    project_with_dem(folder, 280.0 / stored_unit)
+    (folder / "project.toml").write_text(text)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1.0, US_SURVEY_FOOT], ids=["m", "us-ft"])
+def test_the_unit_that_was_found_holds_for_later_steps(tmp_path: Path, unit: float) -> None:
+    stated = "" if unit != 1.0 else 'dem_unit = "m"\n'
+    text = f'[gnss]\nheight_kind = "orthometric"\n[ground]\ndem = "dem.tif"\n{stated}'
+    folder = real_project(tmp_path / "site", unit, text)
+    done = georef("run", folder, "--only", STEPS)
+    assert done.code == 0, done.text
+    with Project.open(folder).database as database:
+        facts = database.meta("ground")
+        above = {row["photo_id"]: row["height_above_ground_m"] for row in database.rows("pose")}
+        prints = {
+            row["photo_id"]: row["extra"]["height_above_ground_m"]
+            for row in database.rows("footprint")
+        }
+    assert facts["dem_unit_m"] == pytest.approx(unit, rel=1e-6)
+    assert prints == pytest.approx(above, abs=0.01)
+    assert 70.0 < min(above.values()) < 130.0
+
+
+@pytest.mark.slow
+def test_a_dem_of_unknown_unit_is_told_in_the_run(tmp_path: Path) -> None:
+    text = '[gnss]\nheight_kind = "orthometric"\n[ground]\ndem = "dem.tif"\n'
+    done = georef("run", real_project(tmp_path / "site", 1.0, text), "--only", STEPS)
+    assert done.code == 0, done.text
+    done.line("dem.tif", "[ground] dem_unit")
+
+
+@pytest.mark.slow
+def test_layers_say_what_the_heights_rest_on(tmp_path: Path) -> None:
+    """Tags of unknown kind: sure over the ground, to half of the geoid's height over the sea."""
+    folder = real_project(tmp_path / "site", 1.0, "[ground]\nheight_above_ground_m = 65.0\n")
+    done = georef("run", folder, "--only", STEPS)
+    assert done.code == 0, done.text
+    with Project.open(folder).database as database:
+        runs = {row["tool"].rpartition(".")[2]: row["fid"] for row in database.rows("run")}
+        poses = database.rows("pose")
+    unknown = [row for row in poses if "unknown" in row["extra"]["height_kind"]]
+    assert len(unknown) == 2
+    assert all(row["sigma_v_m"] > abs(N) / 2 for row in poses)
+    assert {row["run_id"] for row in poses} == {next(v for k, v in runs.items() if "orient" in k)}
+    done.line("[gnss] height_kind")
+    target = tmp_path / "photos.geojson"
+    assert georef("export-geojson", "--project", folder, "--target", target).code == 0
+    for feature in json.loads(target.read_text())["features"]:
+        values = feature["properties"]
+        assert "unknown" in values["height_kind"]
+        assert values["sigma_u_m"] > abs(N) / 2
+        # 5 % of the stated height, and 1 m of the camera
+        assert values["sigma_above_ground_m"] == pytest.approx(math.hypot(3.25, 1.0))
+
+
+@pytest.mark.slow
+def test_places_measured_in_a_photo_have_the_sigma_of_the_level(tmp_path: Path) -> None:
+    folder = real_project(tmp_path / "site", 1.0, "[ground]\nheight_above_ground_m = 65.0\n")
+    assert georef("run", folder, "--only", STEPS).code == 0
+    target = tmp_path / "points.csv"
+    done = georef(
+        "measure-photo", folder / "photos" / "IMG_0004.JPG", "--site", folder,
+        "--pixel", "400,300", "--target", target,
+    )  # fmt: skip
+    assert done.code == 0, done.text
+    names, row = (line.split(",") for line in target.read_text().splitlines())
+    values = dict(zip(names, map(float, row), strict=True))
+    assert values["sigma_u_m"] > abs(N) / 2
+    assert values["sigma_e_m"] < 12.0
