@@ -18,7 +18,7 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, R_ned_from_body, exp_so3
 from georef_gis.navigate.dense import compiled, sample_before
 from georef_gis.navigate.gnss_noise import Fixes
-from georef_gis.navigate.inertial import gravity, rotate
+from georef_gis.navigate.inertial import gravity, rotate, sample_of, turned
 
 # s; length of a window, and between two tries
 WINDOW = 20.0
@@ -76,26 +76,28 @@ def body_increments(imu: Array, edges: Array) -> tuple[Array, Array]:
     """
     m = len(edges)
     R_out, dv = np.empty((m, 3, 3)), np.zeros((m - 1, 3))
-    R = np.eye(3)
+    R, sample = np.zeros(9), np.empty(6)
+    R[0] = R[4] = R[8] = 1.0
     i = sample_before(imu, edges[0])
     now = edges[0]
-    R_out[0] = R
     last = len(imu) - 2
-    for j in range(1, m):
+    for j in range(m):
         while now < edges[j]:
             stop = imu[i + 1, 0] if i < last else edges[j]
             to = min(max(stop, now), edges[j])
-            u = (0.5 * (now + to) - imu[i, 0]) / (imu[i + 1, 0] - imu[i, 0])
-            half = 0.5 * (to - now) * (imu[i, 1:4] + u * (imu[i + 1, 1:4] - imu[i, 1:4]))
-            rotate(R, half)
-            f = imu[i, 4:7] + u * (imu[i + 1, 4:7] - imu[i, 4:7])
+            sample_of(imu, i, 0.5 * (now + to), sample)
+            half = 0.5 * (to - now)
+            x, y, z = half * sample[0], half * sample[1], half * sample[2]
+            rotate(R, x, y, z)
+            felt = turned(R, sample[3], sample[4], sample[5])
             for k in range(3):
-                dv[j - 1, k] += (to - now) * (R[k, 0] * f[0] + R[k, 1] * f[1] + R[k, 2] * f[2])
-            rotate(R, half)
+                dv[j - 1, k] += (to - now) * felt[k]
+            rotate(R, x, y, z)
             now = to
             if i < last and now >= imu[i + 1, 0]:
                 i += 1
-        R_out[j] = R
+        for k in range(9):
+            R_out[j, k // 3, k % 3] = R[k]
     return R_out, dv
 
 

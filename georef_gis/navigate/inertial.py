@@ -39,7 +39,8 @@ SCALE = 9
 @compiled
 def radii(lat: float) -> tuple[float, float]:
     """Radii of curvature along and across the meridian, m."""
-    w = 1.0 - WGS84_E2 * math.sin(lat) ** 2
+    s = math.sin(lat)
+    w = 1.0 - WGS84_E2 * s * s
     n = WGS84_A / math.sqrt(w)
     return n * (1.0 - WGS84_E2) / w, n
 
@@ -47,72 +48,80 @@ def radii(lat: float) -> tuple[float, float]:
 @compiled
 def gravity(lat: float, height: float) -> float:
     """Normal gravity, m/s2, positive down."""
-    s2 = math.sin(lat) ** 2
+    s = math.sin(lat)
+    s2 = s * s
     g = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - WGS84_E2 * s2)
-    return g * (1.0 - 2.0 * height / WGS84_A * (1.0 + 0.00335281 + 0.00344979 - 0.00670562 * s2)
-                + 3.0 * (height / WGS84_A) ** 2)  # fmt: skip
+    up = height / WGS84_A
+    return g * (1.0 - 2.0 * up * (1.0 + 0.00335281 + 0.00344979 - 0.00670562 * s2) + 3.0 * up * up)
 
 
 @compiled
-def rotate(R: Array, vector: Array) -> None:
-    """Replace R by R Exp(vector), in place; to the fourth order of the angle."""
-    x, y, z = vector[0], vector[1], vector[2]
+def rotate(R: Array, x: float, y: float, z: float) -> None:
+    """Replace R, nine numbers by rows, by R Exp(x, y, z); to the fourth order of the angle."""
     a2 = x * x + y * y + z * z
     s = 1.0 - a2 / 6.0 * (1.0 - a2 / 20.0)
     c = 0.5 - a2 / 24.0 * (1.0 - a2 / 30.0)
-    for i in range(3):
-        r0, r1, r2 = R[i, 0], R[i, 1], R[i, 2]
+    for i in range(0, 9, 3):
+        r0, r1, r2 = R[i], R[i + 1], R[i + 2]
         # rows times the skew matrix, once and twice
         k0, k1, k2 = r1 * z - r2 * y, r2 * x - r0 * z, r0 * y - r1 * x
-        R[i, 0] = r0 + s * k0 + c * (k1 * z - k2 * y)
-        R[i, 1] = r1 + s * k1 + c * (k2 * x - k0 * z)
-        R[i, 2] = r2 + s * k2 + c * (k0 * y - k1 * x)
+        R[i] = r0 + s * k0 + c * (k1 * z - k2 * y)
+        R[i + 1] = r1 + s * k1 + c * (k2 * x - k0 * z)
+        R[i + 2] = r2 + s * k2 + c * (k0 * y - k1 * x)
 
 
 @compiled
-def turn_left(R: Array, vector: Array) -> None:
-    """Replace R by Exp(vector) R, in place, for any angle."""
-    x, y, z = vector[0], vector[1], vector[2]
+def turn_left(R: Array, x: float, y: float, z: float) -> None:
+    """Replace R, nine numbers by rows, by Exp(x, y, z) R, for any angle."""
     a = math.sqrt(x * x + y * y + z * z)
     if a < 1e-8:
         s, c = 1.0, 0.5
     else:
         s, c = math.sin(a) / a, (1.0 - math.cos(a)) / (a * a)
     for j in range(3):
-        r0, r1, r2 = R[0, j], R[1, j], R[2, j]
+        r0, r1, r2 = R[j], R[3 + j], R[6 + j]
         k0, k1, k2 = y * r2 - z * r1, z * r0 - x * r2, x * r1 - y * r0
-        R[0, j] = r0 + s * k0 + c * (y * k2 - z * k1)
-        R[1, j] = r1 + s * k1 + c * (z * k0 - x * k2)
-        R[2, j] = r2 + s * k2 + c * (x * k1 - y * k0)
+        R[j] = r0 + s * k0 + c * (y * k2 - z * k1)
+        R[3 + j] = r1 + s * k1 + c * (z * k0 - x * k2)
+        R[6 + j] = r2 + s * k2 + c * (x * k1 - y * k0)
 
 
 @compiled
 def orthonormalise(R: Array) -> None:
-    """One step towards the nearest rotation, in place: R (3 - R'R) / 2."""
-    old = R.copy()
-    for i in range(3):
-        for j in range(3):
-            R[i, j] = 1.5 * old[i, j]
-            for k in range(3):
-                g = old[0, k] * old[0, j] + old[1, k] * old[1, j] + old[2, k] * old[2, j]
-                R[i, j] -= 0.5 * old[i, k] * g
+    """One step of R, nine numbers by rows, towards the nearest rotation: R (3 - R'R) / 2."""
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(0, 9, 3):
+        x, y, z = R[i], R[i + 1], R[i + 2]
+        xx, xy, xz = xx + x * x, xy + x * y, xz + x * z
+        yy, yz, zz = yy + y * y, yz + y * z, zz + z * z
+    for i in range(0, 9, 3):
+        x, y, z = R[i], R[i + 1], R[i + 2]
+        R[i] = 1.5 * x - 0.5 * (x * xx + y * xy + z * xz)
+        R[i + 1] = 1.5 * y - 0.5 * (x * xy + y * yy + z * yz)
+        R[i + 2] = 1.5 * z - 0.5 * (x * xz + y * yz + z * zz)
 
 
 @compiled
-def corrected_rate(w: Array, aux: Array, scaled: bool, out: Array) -> None:
+def turned(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """``R (x, y, z)`` of nine numbers by rows."""
+    return (
+        R[0] * x + R[1] * y + R[2] * z,
+        R[3] * x + R[4] * y + R[5] * z,
+        R[6] * x + R[7] * y + R[8] * z,
+    )
+
+
+@compiled
+def corrected_rate(w: Array, aux: Array) -> tuple[float, float, float]:
     """True angular rate of a measured one, rad/s."""
-    for i in range(3):
-        out[i] = w[i] - aux[i]
-    if scaled:
-        u0, u1, u2 = out[0], out[1], out[2]
-        m = aux[6 : 6 + SCALE]
-        # (1 + M)^-1 u to the second order
-        a0 = u0 - (m[0] * u0 + m[1] * u1 + m[2] * u2)
-        a1 = u1 - (m[3] * u0 + m[4] * u1 + m[5] * u2)
-        a2 = u2 - (m[6] * u0 + m[7] * u1 + m[8] * u2)
-        out[0] = u0 - (m[0] * a0 + m[1] * a1 + m[2] * a2)
-        out[1] = u1 - (m[3] * a0 + m[4] * a1 + m[5] * a2)
-        out[2] = u2 - (m[6] * a0 + m[7] * a1 + m[8] * a2)
+    u0, u1, u2 = w[0] - aux[0], w[1] - aux[1], w[2] - aux[2]
+    if len(aux) < 6 + SCALE:
+        return u0, u1, u2
+    # (1 + M)^-1 u to the second order
+    m = aux[6:]
+    a0, a1, a2 = turned(m, u0, u1, u2)
+    b0, b1, b2 = turned(m, u0 - a0, u1 - a1, u2 - a2)
+    return u0 - b0, u1 - b1, u2 - b2
 
 
 @compiled
@@ -128,70 +137,69 @@ def advance(nav: Array, aux: Array, w: Array, f: Array, dt: float, A: Array) -> 
         Transition since the last node of (dp, dv, phi) with respect to (phi, d aux), updated; no
         column = not wanted. That of dp to dv is time, those to dp and dv are identity.
     """
-    scaled = len(aux) >= 6 + SCALE
-    rate = np.empty(3)
-    corrected_rate(w, aux, scaled, rate)
-    f0, f1, f2 = f[0] - aux[3], f[1] - aux[4], f[2] - aux[5]
-    R = nav[6:15].reshape(3, 3)
-    lat, h = nav[0], nav[2]
-    vn, ve, vd = nav[3], nav[4], nav[5]
+    rate = corrected_rate(w, aux)
+    R = nav[6:]
+    lat, h, vn, ve, vd = nav[0], nav[2], nav[3], nav[4], nav[5]
     rm, rn = radii(lat)
+    rm, rn = rm + h, rn + h
     cos, sin = math.cos(lat), math.sin(lat)
-    en, ee, ed = ve / (rn + h), -vn / (rm + h), -ve * math.tan(lat) / (rn + h)
+    en, ee, ed = ve / rn, -vn / rm, -ve * sin / cos / rn
     wn, wd = EARTH_RATE * cos, -EARTH_RATE * sin
+    turn = (-(wn + en) * dt, -ee * dt, -(wd + ed) * dt)
 
-    half = 0.5 * dt * rate
-    rotate(R, half)
+    half = 0.5 * dt
+    x, y, z = half * rate[0], half * rate[1], half * rate[2]
+    rotate(R, x, y, z)
     # the attitude in the middle of the interval turns the mean force
-    c = R.copy()
-    rotate(R, half)
-    earth = np.array([-(wn + en) * dt, -ee * dt, -(wd + ed) * dt])
-    turn_left(R, earth)
-
-    an = c[0, 0] * f0 + c[0, 1] * f1 + c[0, 2] * f2
-    ae = c[1, 0] * f0 + c[1, 1] * f1 + c[1, 2] * f2
-    ad = c[2, 0] * f0 + c[2, 1] * f1 + c[2, 2] * f2
+    an, ae, ad = turned(R, f[0] - aux[3], f[1] - aux[4], f[2] - aux[5])
     # half of the turn of the level frame belongs to the middle too
-    hn, he, hd = 0.5 * earth[0], 0.5 * earth[1], 0.5 * earth[2]
+    hn, he, hd = 0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2]
     an, ae, ad = an + he * ad - hd * ae, ae + hd * an - hn * ad, ad + hn * ae - he * an
+    _transition(A, R, rate, (an, ae, ad), turn, dt)
+    rotate(R, x, y, z)
+    turn_left(R, turn[0], turn[1], turn[2])
+
     # 2 w_ie + w_en
     on, oe, od = 2.0 * wn + en, ee, 2.0 * wd + ed
     nvn = vn + dt * (an - (oe * vd - od * ve))
     nve = ve + dt * (ae - (od * vn - on * vd))
     nvd = vd + dt * (ad + gravity(lat, h) - (on * ve - oe * vn))
-    nav[0] = lat + 0.5 * dt * (vn + nvn) / (rm + h)
-    nav[1] += 0.5 * dt * (ve + nve) / ((rn + h) * cos)
-    nav[2] = h - 0.5 * dt * (vd + nvd)
+    nav[0] = lat + half * (vn + nvn) / rm
+    nav[1] += half * (ve + nve) / (rn * cos)
+    nav[2] = h - half * (vd + nvd)
     nav[3], nav[4], nav[5] = nvn, nve, nvd
-    if A.shape[1] > 0:
-        _transition(A, c, rate, (an, ae, ad), earth, dt)
 
 
 @compiled
 def _transition(
-    A: Array, c: Array, rate: Array, force: tuple[float, float, float], earth: Array, dt: float
-) -> None:
+    A: Array, c: Array, rate: tuple[float, float, float], force: tuple[float, float, float],
+    turn: tuple[float, float, float], dt: float,
+) -> None:  # fmt: skip
+    """Transition of `advance` over an interval with attitude `c` in its middle, in place."""
+    w0, w1, w2 = rate
     an, ae, ad = force
+    tn, te, td = turn
     for j in range(A.shape[1]):
+        # the axis of the body an error belongs to, and what it adds to rate (x s) and force
+        i, w, b = j % 3, 0.0, 0.0
+        if j >= 9:
+            w = dt * (w0 if i == 0 else w1 if i == 1 else w2)
+            i = (j - 9) // 3
+        elif j >= 6:
+            b = dt
+        elif j >= 3:
+            w = dt
+        c0, c1, c2 = c[i], c[3 + i], c[6 + i]
         p0, p1, p2 = A[6, j], A[7, j], A[8, j]
         # phi' = phi x w_in - C dbg - C dM w
-        t0 = earth[1] * p2 - earth[2] * p1
-        t1 = earth[2] * p0 - earth[0] * p2
-        t2 = earth[0] * p1 - earth[1] * p0
-        if j >= 9 or 3 <= j < 6:
-            i, w = (j - 3, 1.0) if j < 6 else ((j - 9) // 3, rate[(j - 9) % 3])
-            t0 -= dt * c[0, i] * w
-            t1 -= dt * c[1, i] * w
-            t2 -= dt * c[2, i] * w
+        t0 = te * p2 - td * p1 - w * c0
+        t1 = td * p0 - tn * p2 - w * c1
+        t2 = tn * p1 - te * p0 - w * c2
         # dv' = phi x f_n - C dba, with phi in the middle of the step
         m0, m1, m2 = p0 + 0.5 * t0, p1 + 0.5 * t1, p2 + 0.5 * t2
-        d0 = dt * (m1 * ad - m2 * ae)
-        d1 = dt * (m2 * an - m0 * ad)
-        d2 = dt * (m0 * ae - m1 * an)
-        if 6 <= j < 9:
-            d0 -= dt * c[0, j - 6]
-            d1 -= dt * c[1, j - 6]
-            d2 -= dt * c[2, j - 6]
+        d0 = dt * (m1 * ad - m2 * ae) - b * c0
+        d1 = dt * (m2 * an - m0 * ad) - b * c1
+        d2 = dt * (m0 * ae - m1 * an) - b * c2
         A[0, j] += dt * (A[3, j] + 0.5 * d0)
         A[1, j] += dt * (A[4, j] + 0.5 * d1)
         A[2, j] += dt * (A[5, j] + 0.5 * d2)
@@ -206,9 +214,17 @@ def _transition(
 @compiled
 def reset_transition(A: Array) -> None:
     """Identity: nothing has moved since the node."""
-    A[:, :] = 0.0
-    for i in range(min(3, A.shape[1])):
-        A[6 + i, i] = 1.0
+    for i in range(9):
+        for j in range(A.shape[1]):
+            A[i, j] = 1.0 if i == 6 + j else 0.0
+
+
+@compiled
+def sample_of(imu: Array, i: int, time: float, out: Array) -> None:
+    """Rate and force (6,) at a time on the line from sample `i` to the next, into `out`."""
+    u = (time - imu[i, 0]) / (imu[i + 1, 0] - imu[i, 0])
+    for k in range(6):
+        out[k] = imu[i, 1 + k] + u * (imu[i + 1, 1 + k] - imu[i, 1 + k])
 
 
 @compiled
@@ -238,22 +254,17 @@ def propagate(
     while i > 0 and imu[i, 0] > start:
         i -= 1
     now = start
-    w, f = np.empty(3), np.empty(3)
+    sample = np.empty(6)
+    w, f = sample[:3], sample[3:]
     forward = end >= start
     while now != end:
-        if forward:
-            stop = imu[i + 1, 0] if i < last else end
-            to = min(stop, end)
-        else:
-            stop = imu[i, 0] if i > 0 else end
-            to = max(stop, end)
-        width = imu[i + 1, 0] - imu[i, 0]
-        # the mean of a line over an interval is its value in the middle
-        u = (0.5 * (now + to) - imu[i, 0]) / width
-        u = min(max(u, 0.0), 1.0)
-        for k in range(3):
-            w[k] = imu[i, 1 + k] + u * (imu[i + 1, 1 + k] - imu[i, 1 + k])
-            f[k] = imu[i, 4 + k] + u * (imu[i + 1, 4 + k] - imu[i, 4 + k])
+        to = end
+        if forward and i < last and imu[i + 1, 0] < end:
+            to = imu[i + 1, 0]
+        elif not forward and i > 0 and imu[i, 0] > end:
+            to = imu[i, 0]
+        # the mean of a line over an interval is its value in the middle; it ends with the log
+        sample_of(imu, i, min(max(0.5 * (now + to), imu[i, 0]), imu[i + 1, 0]), sample)
         if to != now:
             advance(nav, aux, w, f, to - now, A)
         now = to

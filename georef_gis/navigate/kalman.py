@@ -18,11 +18,14 @@ from georef_gis.frames import Array
 from georef_gis.navigate.dense import (
     cholesky,
     compiled,
+    copy_matrix,
+    copy_row,
     product,
     product_t,
     sample_before,
-    solve_rows,
+    solve_columns,
     symmetrise,
+    transposed,
 )
 from georef_gis.navigate.inertial import (
     corrected_rate,
@@ -30,98 +33,73 @@ from georef_gis.navigate.inertial import (
     propagate,
     radii,
     reset_transition,
+    sample_of,
     turn_left,
+    turned,
 )
 
 IntArray = NDArray[np.int64]
 # times the patience with positions while velocities are accepted
 PATIENCE = 6.0
+# m2 and m2/s2; least variance that is let in when nothing has been accepted for too long
+LOOSE_P, LOOSE_V = 100.0, 1.0
+# what becomes of a measurement beyond the gate: it counts less, or not at all
+LESS, REFUSE = -1, -2
 
 
 @compiled
-def transition_matrix(A: Array, dt: float, phi_x: Array) -> Array:
-    """Whole transition of the errors from that of `advance`; shape (n, n).
+def let_in(P: Array, jump: Array) -> None:
+    """Add variances (3,) of position, velocity and attitude to a covariance, in place."""
+    for i in range(3 * len(jump)):
+        P[i, i] += jump[i // 3]
+
+
+@compiled
+def stepped(P: Array, A: Array, dt: float, jump: Array, model: Array) -> tuple[Array, Array]:
+    """Transition of all errors over a step, and the covariance predicted at its end.
 
     Parameters
     ----------
+    P : shape (n, n)
     A : shape (9, k)
+        Transition as of `advance`.
     dt : s
-    phi_x : shape (n - 9,)
-        Decay of the states behind the nine over the interval, 1 for a constant.
-    """
-    n = 9 + len(phi_x)
-    out = np.zeros((n, n))
-    for i in range(6):
-        out[i, i] = 1.0
-    for i in range(3):
-        out[i, 3 + i] = dt
-    out[:9, 6 : 6 + A.shape[1]] = A
-    for i in range(n - 9):
-        out[9 + i, 9 + i] = phi_x[i]
-    return out
-
-
-@compiled
-def predicted(P: Array, Phi: Array, noise: Array) -> Array:
-    """Covariance after a step: half of the noise enters before it and half behind, (n, n)."""
-    half = P.copy()
-    for i in range(len(noise)):
-        half[i, i] += 0.5 * noise[i]
-    out = product_t(product(Phi, half), Phi)
-    for i in range(len(noise)):
-        out[i, i] += 0.5 * noise[i]
-    symmetrise(out)
-    return out
-
-
-@compiled
-def step_noise(density: Array, tau: Array, dt: float) -> tuple[Array, Array]:
-    """Noise of a step and decay of the states behind the nine.
-
-    Parameters
-    ----------
-    density : shape (n,)
-        Per s of the random walks; the stationary variance where `tau` is given.
-    tau : shape (n,), s
-        Correlation time, 0 for a random walk.
-    dt : s
+    jump : shape (3,)
+        Variance that enters position, velocity and attitude at the end.
+    model : shape (2, n)
+        Noise density per s of the random walks, the stationary variance of the correlated states;
+        and correlation time, s, 0 for a random walk.
 
     Returns
     -------
-    noise : shape (n,); phi_x : shape (n - 9,)
+    Phi : shape (n, n); ahead : shape (n, n)
     """
-    n = len(density)
-    noise, phi_x = np.empty(n), np.ones(n - 9)
+    n = len(P)
+    Phi, noise = np.zeros((n, n)), np.empty(n)
+    # P is symmetric: its transpose is a copy. Half of the noise enters before the step
+    half = transposed(P)
     for i in range(n):
-        if tau[i] > 0.0:
-            d = math.exp(-dt / tau[i])
-            phi_x[i - 9] = d
-            # what `predicted` needs for the variance to stay
-            noise[i] = 2.0 * density[i] * (1.0 - d * d) / (1.0 + d * d)
+        d, q = 1.0, model[0, i]
+        if model[1, i] > 0.0:
+            d = math.exp(-dt / model[1, i])
+            # what the two halves need for the variance to stay
+            q *= 2.0 * (1.0 - d * d) / (1.0 + d * d)
         else:
-            noise[i] = density[i] * dt
-    return noise, phi_x
-
-
-@compiled
-def _block_update(P: Array, H: Array, S: Array, r: Array, nav: Array, x: Array) -> None:
-    """Update with PHt in H (n, m), its innovation covariance S and innovation r, in place."""
-    n, m = H.shape
-    K = H.copy()
-    solve_rows(cholesky(S), K)
-    d = np.zeros(n)
+            q *= dt
+        noise[i] = 0.5 * q
+        half[i, i] += 0.5 * q
+        Phi[i, i] = d
+    # a number of rows that the compiler does not know keeps it from writing each one out
+    for i in range(len(A)):
+        copy_row(A[i], Phi[i, 6 : 6 + A.shape[1]])
+    for i in range(len(jump)):
+        Phi[i, 3 + i] = dt
+    ahead = product(Phi, transposed(product(Phi, half)))
     for i in range(n):
-        for k in range(m):
-            d[i] += K[i, k] * r[k]
-    for i in range(n):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(m):
-                s += K[i, k] * H[j, k]
-            value = P[i, j] - s
-            P[i, j] = value
-            P[j, i] = value
-    inject(nav, x, d)
+        ahead[i, i] += noise[i]
+    let_in(ahead, jump)
+    symmetrise(ahead)
+    return Phi, ahead
 
 
 @compiled
@@ -134,8 +112,7 @@ def inject(nav: Array, x: Array, d: Array) -> None:
     nav[2] -= d[2]
     for i in range(3):
         nav[3 + i] += d[3 + i]
-    R = nav[6:15].reshape(3, 3)
-    turn_left(R, d[6:9])
+    turn_left(nav[6:], d[6], d[7], d[8])
     for i in range(len(x)):
         x[i] += d[9 + i]
 
@@ -149,149 +126,149 @@ def difference(nav_a: Array, x_a: Array, nav_b: Array, x_b: Array, out: Array) -
     out[2] = -(nav_a[2] - nav_b[2])
     for i in range(3):
         out[3 + i] = nav_a[3 + i] - nav_b[3 + i]
-    D = product_t(nav_a[6:15].reshape(3, 3), nav_b[6:15].reshape(3, 3))
-    c = 0.5 * (D[0, 0] + D[1, 1] + D[2, 2] - 1.0)
-    v0, v1, v2 = 0.5 * (D[2, 1] - D[1, 2]), 0.5 * (D[0, 2] - D[2, 0]), 0.5 * (D[1, 0] - D[0, 1])
+    # half of the skew part of R_a R_b', and its trace
+    trace, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        a0, a1, a2 = nav_a[6 + k], nav_a[9 + k], nav_a[12 + k]
+        b0, b1, b2 = nav_b[6 + k], nav_b[9 + k], nav_b[12 + k]
+        trace += a0 * b0 + a1 * b1 + a2 * b2
+        v0 += 0.5 * (a2 * b1 - a1 * b2)
+        v1 += 0.5 * (a0 * b2 - a2 * b0)
+        v2 += 0.5 * (a1 * b0 - a0 * b1)
+    c = 0.5 * (trace - 1.0)
     s = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-    k = 1.0 if s < 1e-9 else math.atan2(s, c) / s
-    out[6], out[7], out[8] = k * v0, k * v1, k * v2
+    longer = 1.0 if s < 1e-9 else math.atan2(s, c) / s
+    out[6], out[7], out[8] = longer * v0, longer * v1, longer * v2
     for i in range(len(x_a)):
         out[9 + i] = x_a[i] - x_b[i]
 
 
 @compiled
-def _position_terms(
-    P: Array, nav: Array, x: Array, z: Array, arm: Array, slow: int
-) -> tuple[Array, Array, Array]:
-    """PHt (n, 3), H P Ht (3, 3) and innovation (3,) of a position (lat, lon, h) of the antenna."""
-    n = len(P)
-    R = nav[6:15].reshape(3, 3)
-    a = R @ arm
-    rm, rn = radii(nav[0])
-    r = np.empty(3)
-    r[0] = (z[0] - nav[0]) * (rm + nav[2]) - a[0]
-    r[1] = (z[1] - nav[1]) * (rn + nav[2]) * math.cos(nav[0]) - a[1]
-    r[2] = nav[2] - z[2] - a[2]
-    H = np.zeros((3, n))
+def _gnss_terms(
+    nav: Array, x: Array, z: Array, arm: Array, rate: tuple[float, float, float], slow: int
+) -> tuple[Array, Array]:
+    """H (3, n) and innovation (3,) of the antenna's position (lat, lon, h), or velocity in NED.
+
+    A position where `slow` >= 0, the first column of the slow error or 0; else a velocity.
+    """
+    H, r = np.zeros((3, 9 + len(x))), np.empty(3)
+    a0, a1, a2 = arm[0], arm[1], arm[2]
+    first = 0
+    if slow < 0:
+        first = 3
+        w0, w1, w2 = rate
+        a0, a1, a2 = w1 * a2 - w2 * a1, w2 * a0 - w0 * a2, w0 * a1 - w1 * a0
+    a0, a1, a2 = turned(nav[6:], a0, a1, a2)
+    if slow < 0:
+        r[0], r[1], r[2] = z[0] - nav[3] - a0, z[1] - nav[4] - a1, z[2] - nav[5] - a2
+    else:
+        rm, rn = radii(nav[0])
+        r[0] = (z[0] - nav[0]) * (rm + nav[2]) - a0
+        r[1] = (z[1] - nav[1]) * (rn + nav[2]) * math.cos(nav[0]) - a1
+        r[2] = nav[2] - z[2] - a2
     for i in range(3):
-        H[i, i] = 1.0
+        H[i, first + i] = 1.0
         if slow > 0:
             H[i, slow + i] = 1.0
             r[i] -= x[slow + i - 9]
-    _minus_skew(H, a, 6)
-    PHt = product_t(P, H)
-    return PHt, product(H, PHt), r
-
-
-@compiled
-def _velocity_terms(
-    P: Array, nav: Array, z: Array, arm: Array, rate: Array
-) -> tuple[Array, Array, Array]:
-    """As `_position_terms`, of a velocity of the antenna in NED."""
-    n = len(P)
-    R = nav[6:15].reshape(3, 3)
-    swing = np.array([rate[1] * arm[2] - rate[2] * arm[1], rate[2] * arm[0] - rate[0] * arm[2],
-                      rate[0] * arm[1] - rate[1] * arm[0]])  # fmt: skip
-    a = R @ swing
-    r = z - nav[3:6] - a
-    H = np.zeros((3, n))
-    for i in range(3):
-        H[i, 3 + i] = 1.0
-    _minus_skew(H, a, 6)
-    PHt = product_t(P, H)
-    return PHt, product(H, PHt), r
-
-
-@compiled
-def _minus_skew(H: Array, a: Array, column: int) -> None:
-    H[0, column + 1], H[0, column + 2] = a[2], -a[1]
-    H[1, column], H[1, column + 2] = -a[2], a[0]
-    H[2, column], H[2, column + 1] = a[1], -a[0]
-
-
-@compiled
-def _scalar_terms(
-    kind: int, z: float, nav: Array, x: Array, baro: int, wind: int
-) -> tuple[Array, float]:
-    """Row H (n,) and innovation of an aid: 0 heading rad, 1 height m, 2 airspeed m/s."""
-    H = np.zeros(9 + len(x))
-    R = nav[6:15].reshape(3, 3)
-    if kind == 0:
-        # yaw = atan2(R10, R00); phi turns the first column
-        c2 = R[0, 0] ** 2 + R[1, 0] ** 2
-        d = z - math.atan2(R[1, 0], R[0, 0])
-        r = math.atan2(math.sin(d), math.cos(d))
-        H[6] = -R[0, 0] * R[2, 0] / c2
-        H[7] = -R[1, 0] * R[2, 0] / c2
-        H[8] = 1.0
-    elif kind == 1:
-        H[2] = -1.0
-        H[baro] = 1.0
-        r = z - nav[2] - x[baro - 9]
-    else:
-        a = nav[3:6].copy()
-        a[0] -= x[wind - 9]
-        a[1] -= x[wind - 8]
-        speed = max(math.sqrt(a[0] ** 2 + a[1] ** 2 + a[2] ** 2), 1.0)
-        for i in range(3):
-            H[3 + i] = a[i] / speed
-        H[wind], H[wind + 1] = -a[0] / speed, -a[1] / speed
-        r = z - speed
+    H[0, 7], H[0, 8], H[1, 6] = a2, -a1, -a2
+    H[1, 8], H[2, 6], H[2, 7] = a0, a1, -a0
     return H, r
 
 
 @compiled
-def _gnss_block(
-    P: Array, nav: Array, x: Array, z: tuple[Array, Array], arm: Array, rate: Array, slow: int,
-    gate: float, late: bool,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Gated update with a position (`slow` >= 0) or a velocity (`slow` < 0), in place.
-
-    Returns the normalised innovation squared, negative if it was too large and the fix counted
-    less; the log-likelihood without 2 pi; and the variance that was added because nothing had been
-    accepted for too long.
-    """
-    first, floor = (0, 100.0) if slow >= 0 else (3, 1.0)
-    added = 0.0
-    for _ in range(2):
-        if slow >= 0:
-            PHt, HPHt, r = _position_terms(P, nav, x, z[0], arm, slow)
-        else:
-            PHt, HPHt, r = _velocity_terms(P, nav, z[0], arm, rate)
-        S = HPHt + z[1]
-        L = cholesky(S)
-        y = r.reshape((1, 3)).copy()
-        solve_rows(L, y)
-        nis = r[0] * y[0, 0] + r[1] * y[0, 1] + r[2] * y[0, 2]
-        if nis <= gate or not late or added > 0.0:
-            break
-        added = (r[0] ** 2 + r[1] ** 2 + r[2] ** 2) / 3.0 + floor
-        for i in range(first, first + 3):
-            P[i, i] += added
-    # an outlier counts as no more than that, or one would outweigh a flight
-    likelihood = -0.5 * min(nis, 30.0) - math.log(L[0, 0] * L[1, 1] * L[2, 2])
-    sign = 1.0
-    if nis > gate:
-        # as if its noise were so large that it just passes: a pull that fades with its distance,
-        # where a refusal would lock a filter out that has gone astray itself
-        sign = -1.0
-        S *= nis / gate
-    _block_update(P, PHt, S, r, nav, x)
-    return sign * nis, likelihood, added
+def _aid_terms(
+    kind: int, z: float, nav: Array, x: Array, baro: int, wind: int
+) -> tuple[Array, Array]:
+    """H (1, n) and innovation (1,) of an aid: 0 heading rad, 1 height m, 2 airspeed m/s."""
+    H, r = np.zeros((1, 9 + len(x))), np.empty(1)
+    if kind == 0:
+        # yaw = atan2(R10, R00); phi turns the first column
+        r00, r10, r20 = nav[6], nav[9], nav[12]
+        c2 = r00 * r00 + r10 * r10
+        d = z - math.atan2(r10, r00)
+        r[0] = math.atan2(math.sin(d), math.cos(d))
+        H[0, 6], H[0, 7], H[0, 8] = -r00 * r20 / c2, -r10 * r20 / c2, 1.0
+    elif kind == 1:
+        H[0, 2], H[0, baro] = -1.0, 1.0
+        r[0] = z - nav[2] - x[baro - 9]
+    else:
+        a0, a1, a2 = nav[3] - x[wind - 9], nav[4] - x[wind - 8], nav[5]
+        speed = max(math.sqrt(a0 * a0 + a1 * a1 + a2 * a2), 1.0)
+        H[0, 3], H[0, 4], H[0, 5] = a0 / speed, a1 / speed, a2 / speed
+        H[0, wind], H[0, wind + 1] = -a0 / speed, -a1 / speed
+        r[0] = z - speed
+    return H, r
 
 
 @compiled
-def _aid(
-    P: Array, nav: Array, x: Array, kind: int, z: Array, layout: IntArray, gate: float
-) -> None:  # fmt: skip
-    """Gated update with value and sigma of one aid, in place."""
-    h, r = _scalar_terms(kind, z[0], nav, x, layout[1], layout[2])
-    column = product_t(P, h.reshape((1, len(h))))
-    s = z[1] ** 2
-    for i in range(len(h)):
-        s += h[i] * column[i, 0]
-    if r * r / s <= gate:
-        _block_update(P, column, np.full((1, 1), s), np.full(1, r), nav, x)
+def _gain_of(P: Array, H: Array, r: Array, R: Array) -> tuple[Array, Array, Array]:
+    """HP (m, n), ``S^-1 (HP, r)`` (m, n + 1) and the Cholesky factor of the innovations' S."""
+    m, n = H.shape
+    HP = product(H, P)
+    S, K = product_t(HP, H), np.empty((m, n + 1))
+    for i in range(m):
+        for j in range(m):
+            S[i, j] += R[i, j]
+        copy_row(HP[i], K[i, :n])
+        K[i, n] = r[i]
+    L = cholesky(S)
+    solve_columns(L, K)
+    return HP, K, L
+
+
+@compiled
+def _update(
+    P: Array, nav: Array, x: Array, terms: tuple[Array, Array], R: Array, gate: float, loose: int
+) -> tuple[float, float, float]:
+    """Gated update in place with H (m, n) and innovation (m,), whose noise is R (m, m).
+
+    Beyond the gate nothing is done where `loose` is `REFUSE`. Else the measurement counts as if
+    its noise were so large that it just passes: a pull that fades with its distance, where a
+    refusal would lock a filter out that has gone astray itself. And where `loose` >= 0, so long
+    has nothing been accepted that first the variance of the three states from there grows.
+
+    Returns
+    -------
+    nis
+        Normalised innovation squared, negative if it was beyond the gate.
+    likelihood
+        Its logarithm without 2 pi.
+    added
+        The variance let in.
+    """
+    H, r = terms
+    m, n = H.shape
+    added, nis, likelihood = 0.0, 0.0, 0.0
+    for attempt in range(2):
+        HP, K, L = _gain_of(P, H, r, R)
+        nis, likelihood, square = 0.0, 0.0, 0.0
+        for k in range(m):
+            nis += r[k] * K[k, n]
+            square += r[k] * r[k]
+            likelihood -= math.log(L[k, k])
+        if nis <= gate or loose < 0 or attempt == 1:
+            break
+        added = square / 3.0 + (LOOSE_P if loose == 0 else LOOSE_V)
+        for i in range(3):
+            P[loose + i, loose + i] += added
+    # an outlier counts as no more than that, or one would outweigh a flight
+    likelihood -= 0.5 * min(nis, 30.0)
+    weight = 1.0
+    if not nis <= gate:
+        if loose == REFUSE:
+            return -nis, likelihood, added
+        weight = gate / nis
+    d = np.zeros(n)
+    for i in range(n):
+        for k in range(m):
+            gain = weight * K[k, i]
+            d[i] += gain * r[k]
+            for j in range(n):
+                P[i, j] -= gain * HP[k, j]
+    symmetrise(P)
+    inject(nav, x, d)
+    return (nis if weight == 1.0 else -nis), likelihood, added
 
 
 @compiled
@@ -359,55 +336,59 @@ def run_filter(
         Number of nodes that were reached; less than m if the state became useless.
     """
     prior_nav, prior_x, post_nav, post_x, packed, trans = out
-    count, dynamic = len(nodes), trans.shape[2]
-    kept = dynamic - 3
-    A = np.zeros((9, dynamic))
+    A, sample, good = np.zeros((9, trans.shape[2])), np.empty(6), np.empty(2)
+    aux = x[: trans.shape[2] - 3]
     index = sample_before(imu, nodes[0])
-    good, rate = np.full(2, nodes[0]), np.empty(3)
-    for m in range(count):
+    good[0] = good[1] = nodes[0]
+    let_in(P, jump[0])
+    for m in range(len(nodes)):
+        now = nodes[m]
         if m > 0:
             reset_transition(A)
-            index = propagate(imu, index, nodes[m - 1], nodes[m], nav, x[:kept], A)
-            trans[m - 1] = A
-            dt = nodes[m] - nodes[m - 1]
-            noise, phi_x = step_noise(model[0], model[1], dt)
-            P = predicted(P, transition_matrix(A, dt, phi_x), noise)
-            for i in range(len(phi_x)):
-                x[i] *= phi_x[i]
-            orthonormalise(nav[6:15].reshape(3, 3))
-        for b in range(3):
-            for i in range(3):
-                P[3 * b + i, 3 * b + i] += jump[m, b]
-        before_nav, before_x = nav.copy(), x.copy()
-        chi[m, :2] = np.nan
-        chi[m, 2:] = 0.0
-        j = fix[m]
-        if j >= 0:
-            i = min(index, len(imu) - 2)
-            u = (nodes[m] - imu[i, 0]) / (imu[i + 1, 0] - imu[i, 0])
-            corrected_rate(imu[i, 1:4] + u * (imu[i + 1, 1:4] - imu[i, 1:4]), x, kept >= 15, rate)
-            for block in range(2):
-                if math.isnan(gnss[0][block, j, 0]):
+            index = propagate(imu, index, nodes[m - 1], now, nav, aux, A)
+            copy_matrix(A, trans[m - 1])
+            Phi, P = stepped(P, A, now - nodes[m - 1], jump[m], model)
+            for i in range(len(x)):
+                x[i] *= Phi[9 + i, 9 + i]
+            orthonormalise(nav[6:])
+        copy_row(nav, prior_nav[m])
+        copy_row(x, prior_x[m])
+        chi[m, 0] = chi[m, 1] = math.nan
+        chi[m, 2] = chi[m, 3] = 0.0
+        sample_of(imu, min(index, len(imu) - 2), now, sample)
+        rate, j = corrected_rate(sample, aux), fix[m]
+        for source in range(5):
+            if source < 2:
+                if j < 0 or math.isnan(gnss[0][source, j, 0]):
                     continue
-                late = nodes[m] - good[block] > options[2]
-                if block == 0 and nodes[m] - good[1] <= options[2]:
+                slow, patience, gate = -1, options[2], options[0]
+                if source == 0:
+                    slow = layout[0]
                     # a filter whose velocity agrees cannot be far astray: the positions are
-                    late = nodes[m] - good[0] > PATIENCE * options[2]
-                z = (gnss[0][block, j], gnss[1][block, j])
-                slow = layout[0] if block == 0 else -1
-                nis, ll, added = _gnss_block(P, nav, x, z, arm, rate, slow, options[0], late)
-                jump[m, block] += added
-                chi[m, block] = nis
+                    if now - good[1] <= patience:
+                        patience *= PATIENCE
+                terms = _gnss_terms(nav, x, gnss[0][source, j], arm, rate, slow)
+                R, loose = gnss[1][source, j], LESS
+                if now - good[source] > patience:
+                    loose = 3 * source
+            else:
+                z = aids[m, source - 2]
+                if math.isnan(z[0]):
+                    continue
+                terms = _aid_terms(source - 2, z[0], nav, x, layout[1], layout[2])
+                R, loose, gate = np.empty((1, 1)), REFUSE, options[1]
+                R[0, 0] = z[1] * z[1]
+            nis, ll, added = _update(P, nav, x, terms, R, gate, loose)
+            if source < 2:
+                jump[m, source] += added
+                chi[m, source] = nis
                 chi[m, 2] += ll
                 chi[m, 3] += 3.0
                 if nis >= 0.0:
-                    good[block] = nodes[m]
-        for kind in range(3):
-            if not math.isnan(aids[m, kind, 0]):
-                _aid(P, nav, x, kind, aids[m, kind], layout, options[1])
-        prior_nav[m], prior_x[m] = before_nav, before_x
-        post_nav[m], post_x[m] = nav, x
+                    good[source] = now
+        copy_row(nav, post_nav[m])
+        copy_row(x, post_x[m])
         pack(P, packed[m])
-        if not np.isfinite(nav[0] + nav[3] + nav[6] + P[6, 6]) or abs(nav[2]) > 1e5:
+        if not math.isfinite(nav[0] + nav[3] + nav[6] + P[6, 6]) or abs(nav[2]) > 1e5:
             return m
-    return count
+    return len(nodes)

@@ -8,26 +8,29 @@ node of its own without a measurement, which changes nothing but gives its covar
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.navigate.dense import (
     cholesky,
     compiled,
+    copy_row,
     product,
     product_t,
     sample_before,
-    solve_rows,
+    solve_columns,
     symmetrise,
+    transposed,
 )
 from georef_gis.navigate.inertial import propagate, reset_transition
 from georef_gis.navigate.kalman import (
     difference,
     inject,
     pack,
-    predicted,
-    step_noise,
-    transition_matrix,
+    stepped,
     unpack,
 )
 
@@ -36,38 +39,34 @@ from georef_gis.navigate.kalman import (
 def gain(P: Array, Phi: Array, ahead: Array) -> Array:
     """Smoother gain ``P Phi' ahead^-1``, (n, n); scaled, for the states differ by 1e10."""
     n = len(P)
-    s = np.empty(n)
+    scale, scaled = np.empty(n), np.empty((n, n))
     for i in range(n):
-        s[i] = 1.0 / np.sqrt(ahead[i, i]) if ahead[i, i] > 0.0 else 1.0
-    scaled = np.empty((n, n))
-    G = product_t(P, Phi)
-    for i in range(n):
-        for j in range(n):
-            scaled[i, j] = ahead[i, j] * s[i] * s[j]
-            G[i, j] *= s[j]
-    solve_rows(cholesky(scaled), G)
+        scale[i] = 1.0 / math.sqrt(ahead[i, i]) if ahead[i, i] > 0.0 else 1.0
+    # of P and ahead, which are symmetric: G' = ahead^-1 Phi P
+    G = product(Phi, P)
     for i in range(n):
         for j in range(n):
-            G[i, j] *= s[j]
-    return G
-
-
-@compiled
-def ahead_of(P: Array, A: Array, dt: float, jump: Array, model: Array) -> tuple[Array, Array]:
-    """Transition over a step and the covariance predicted at its end, with the jump there."""
-    noise, phi_x = step_noise(model[0], model[1], dt)
-    Phi = transition_matrix(A, dt, phi_x)
-    out = predicted(P, Phi, noise)
-    for b in range(3):
-        for i in range(3):
-            out[3 * b + i, 3 * b + i] += jump[b]
-    return Phi, out
+            scaled[i, j] = ahead[i, j] * scale[i] * scale[j]
+            G[i, j] *= scale[i]
+    solve_columns(cholesky(scaled), G)
+    for i in range(n):
+        for j in range(n):
+            G[i, j] *= scale[i]
+    return transposed(G)
 
 
 @compiled
 def smoothed_covariance(P: Array, G: Array, smoothed: Array, ahead: Array) -> Array:
     """``P + G (smoothed ahead - predicted ahead) G'``, symmetric, (n, n)."""
-    out = P + product_t(product(G, smoothed - ahead), G)
+    n = len(P)
+    change = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            change[i, j] = smoothed[i, j] - ahead[i, j]
+    out = product_t(product(G, change), G)
+    for i in range(n):
+        for j in range(n):
+            out[i, j] += P[i, j]
     symmetrise(out)
     return out
 
@@ -84,16 +83,23 @@ def run_smoother(
     prior_nav, prior_x, post_nav, post_x, kept, trans = passed
     last = len(nodes) - 1
     n = model.shape[1]
-    nav[last], x[last], packed[last] = post_nav[last], post_x[last], kept[last]
+    copy_row(post_nav[last], nav[last])
+    copy_row(post_x[last], x[last])
+    copy_row(kept[last], packed[last])
     P_s = unpack(kept[last], n)
-    d = np.empty(n)
+    d, move = np.empty(n), np.empty(n)
     for m in range(last - 1, -1, -1):
         P = unpack(kept[m], n)
-        Phi, ahead = ahead_of(P, trans[m], nodes[m + 1] - nodes[m], jump[m + 1], model)
+        Phi, ahead = stepped(P, trans[m], nodes[m + 1] - nodes[m], jump[m + 1], model)
         G = gain(P, Phi, ahead)
         difference(nav[m + 1], x[m + 1], prior_nav[m + 1], prior_x[m + 1], d)
-        nav[m], x[m] = post_nav[m], post_x[m]
-        inject(nav[m], x[m], product_t(G, d.reshape((1, n)))[:, 0].copy())
+        copy_row(post_nav[m], nav[m])
+        copy_row(post_x[m], x[m])
+        for i in range(n):
+            move[i] = 0.0
+            for j in range(n):
+                move[i] += G[i, j] * d[j]
+        inject(nav[m], x[m], move)
         P_s = smoothed_covariance(P, G, P_s, ahead)
         pack(P_s, packed[m])
 
@@ -117,29 +123,37 @@ def states_at(
     -------
     out : shape (k, 15); out_x : shape (k, n - 9)
     """
-    none = np.zeros((9, 0))
-    size = x.shape[1]
+    none, size = np.zeros((9, 0)), x.shape[1]
     out, out_x = np.empty((len(times), 15)), np.empty((len(times), size))
-    d = np.empty(9 + size)
-    kept = dynamic - 3
+    there, d = np.empty(15), np.empty(9 + size)
     for i in range(len(times)):
-        m = index[i]
-        here, aux = nav[m].copy(), x[m].copy()
-        start = sample_before(imu, nodes[m])
-        at = propagate(imu, start, nodes[m], times[i], here, aux[:kept], none)
-        there = here.copy()
-        propagate(imu, at, times[i], nodes[m + 1], there, aux[:kept], none)
+        m, time = index[i], times[i]
+        here, aux = out[i], out_x[i]
+        copy_row(nav[m], here)
+        copy_row(x[m], aux)
+        kept = aux[: dynamic - 3]
+        at = propagate(imu, sample_before(imu, nodes[m]), nodes[m], time, here, kept, none)
+        copy_row(here, there)
+        propagate(imu, at, time, nodes[m + 1], there, kept, none)
         difference(nav[m + 1], x[m + 1], there, aux, d)
-        share = (times[i] - nodes[m]) / (nodes[m + 1] - nodes[m])
-        inject(here, aux, share * d)
-        out[i], out_x[i] = here, aux
+        share = (time - nodes[m]) / (nodes[m + 1] - nodes[m])
+        for k in range(len(d)):
+            d[k] *= share
+        inject(here, aux, d)
     return out, out_x
 
 
-@compiled
+def _carried(
+    imu: Array, index: int, span: tuple[float, float], nav: Array, aux: Array, A: Array
+) -> int:
+    """As `propagate`, with the transition of this span alone in A."""
+    reset_transition(A)
+    return int(propagate(imu, index, span[0], span[1], nav, aux, A))
+
+
 def chain_at(
     imu: Array, nodes: Array, jump: Array, model: Array, post: tuple[Array, Array],
-    kept: tuple[Array, Array], trans: Array, times: Array, index: Array,
+    kept: tuple[Array, Array], trans: Array, times: Array, index: NDArray[np.int64],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Covariance of the smoothed error at times, and gains between neighbours.
 
@@ -157,51 +171,37 @@ def chain_at(
     P : shape (k, n, n); G : shape (k, n, n)
         ``Cov(x_i, x_(i+1)) = G_i P_(i+1)``; the last G is not used.
     """
-    n, dynamic = model.shape[1], trans.shape[2]
-    k = len(times)
+    n, k, width = model.shape[1], len(times), trans.shape[2]
     P_out, G_out = np.empty((k, n, n)), np.zeros((k, n, n))
-    A = np.zeros((9, dynamic))
+    A, none = np.zeros((9, width)), np.zeros(3)
     for i in range(k):
-        m = index[i]
-        here, aux = post[0][m].copy(), post[1][m].copy()
-        P = unpack(kept[0][m], n)
-        at = sample_before(imu, nodes[m])
-        now = nodes[m]
+        m, now = index[i], times[i]
+        here, aux = post[0][m].copy(), post[1][m, : width - 3]
         # over every time in this interval, from the node's filtered covariance
-        reset_transition(A)
-        at = propagate(imu, at, now, times[i], here, aux[: dynamic - 3], A)
-        if times[i] > now:
-            P = ahead_of(P, A, times[i] - now, np.zeros(3), model)[1]
-        reset_transition(A)
-        propagate(imu, at, times[i], nodes[m + 1], here.copy(), aux[: dynamic - 3], A)
-        if times[i] < nodes[m + 1]:
-            Phi, ahead = ahead_of(P, A, nodes[m + 1] - times[i], jump[m + 1], model)
+        P = unpack(kept[0][m], n)
+        at = _carried(imu, sample_before(imu, nodes[m]), (nodes[m], now), here, aux, A)
+        if now > nodes[m]:
+            P = stepped(P, A, now - nodes[m], none, model)[1]
+        _carried(imu, at, (now, nodes[m + 1]), here.copy(), aux, A)
+        P_out[i], G = unpack(kept[1][m + 1], n), np.eye(n)
+        if now < nodes[m + 1]:
+            Phi, ahead = stepped(P, A, nodes[m + 1] - now, jump[m + 1], model)
             G = gain(P, Phi, ahead)
-            P_out[i] = smoothed_covariance(P, G, unpack(kept[1][m + 1], n), ahead)
-        else:
-            G = np.eye(n)
-            P_out[i] = unpack(kept[1][m + 1], n)
+            P_out[i] = smoothed_covariance(P, G, P_out[i], ahead)
         if i == k - 1:
             break
+        then = times[i + 1]
         if index[i + 1] == m:
-            reset_transition(A)
-            propagate(imu, at, times[i], times[i + 1], here, aux[: dynamic - 3], A)
-            step = times[i + 1] - times[i]
-            Phi, ahead = ahead_of(P, A, step, np.zeros(3), model)
-            G_out[i] = gain(P, Phi, ahead)
-            continue
+            _carried(imu, at, (now, then), here, aux, A)
+            G = gain(P, *stepped(P, A, then - now, none, model))
         for j in range(m + 1, index[i + 1] + 1):
             P = unpack(kept[0][j], n)
             if j < index[i + 1]:
-                step = nodes[j + 1] - nodes[j]
-                Phi, ahead = ahead_of(P, trans[j], step, jump[j + 1], model)
-                G = product(G, gain(P, Phi, ahead))
-            elif times[i + 1] > nodes[j]:
-                here, aux = post[0][j].copy(), post[1][j].copy()
-                at = sample_before(imu, nodes[j])
-                reset_transition(A)
-                propagate(imu, at, nodes[j], times[i + 1], here, aux[: dynamic - 3], A)
-                Phi, ahead = ahead_of(P, A, times[i + 1] - nodes[j], np.zeros(3), model)
-                G = product(G, gain(P, Phi, ahead))
+                step = stepped(P, trans[j], nodes[j + 1] - nodes[j], jump[j + 1], model)
+                G = G @ gain(P, *step)
+            elif then > nodes[j]:
+                here, aux = post[0][j].copy(), post[1][j, : width - 3]
+                _carried(imu, sample_before(imu, nodes[j]), (nodes[j], then), here, aux, A)
+                G = G @ gain(P, *stepped(P, A, then - nodes[j], none, model))
         G_out[i] = G
     return P_out, G_out

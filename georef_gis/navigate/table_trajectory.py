@@ -108,6 +108,9 @@ class TableTrajectory:
         usual = float(np.median(np.diff(self.log.time)))
         if gap > max(LONGEST_GAP, 2.0 * usual):
             return f"its time lies in a gap of {gap:.1f} s of the trajectory"
+        for what, values in (("attitude", self.log.rpy), ("position", self.log.height[:, None])):
+            if not np.isfinite(values[max(i - 1, 0) : i + 1]).all():
+                return f"the trajectory has no {what} at its time"
         return ""
 
     def at(self, times: ArrayLike) -> TrajectoryStates:
