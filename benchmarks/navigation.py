@@ -42,7 +42,7 @@ from georef_gis.frames import (
     rpy_from_R_ned_from_body,
 )
 from georef_gis.model.logs import ImuLog, covariance_of_sigmas, unknown
-from georef_gis.navigate import inertial_solution
+from georef_gis.navigate import filter_pass, first_state, inertial_solution
 from georef_gis.navigate.gnss_noise import prepare_fixes
 from georef_gis.navigate.inertial_solution import smooth_flight
 from georef_gis.navigate.kalman import unpack
@@ -164,8 +164,13 @@ def _lines(flights: int, gnss: str, *, real: bool, sheet: bool) -> list[str]:
 
 @contextmanager
 def counted(spent: dict[str, float], *names: str) -> Iterator[None]:
-    """Sum the CPU seconds of functions of `inertial_solution` while within."""
-    kept = {name: getattr(inertial_solution, name) for name in names}
+    """Sum the CPU seconds of functions of the filter and the smoother while within."""
+    homes = {
+        (module, name): getattr(module, name)
+        for module in (inertial_solution, filter_pass, first_state)
+        for name in names
+        if hasattr(module, name)
+    }
 
     def timed(name: str, function: Callable[..., object]) -> Callable[..., object]:
         def wrapper(*args: object) -> object:
@@ -178,12 +183,12 @@ def counted(spent: dict[str, float], *names: str) -> Iterator[None]:
         return wrapper
 
     try:
-        for name, function in kept.items():
-            setattr(inertial_solution, name, timed(name, function))
+        for (module, name), function in homes.items():
+            setattr(module, name, timed(name, function))
         yield
     finally:
-        for name, function in kept.items():
-            setattr(inertial_solution, name, function)
+        for (module, name), function in homes.items():
+            setattr(module, name, function)
 
 
 def memory_mb(field: str) -> float:

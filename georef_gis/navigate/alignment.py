@@ -60,6 +60,7 @@ class Alignment:
     # rad/s and its one sigma, where a first look has found it
     gyro_bias: Array | None = None
     sigma_gyro_bias: float = math.inf
+    accel_bias: Array | None = None
 
 
 @compiled

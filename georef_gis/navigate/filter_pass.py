@@ -168,6 +168,8 @@ def prior_state(layout: Layout, fixes: Fixes, start: float, aligned: Alignment, 
     x = np.zeros(len(layout.prior) - 9)
     if aligned.gyro_bias is not None:
         x[:3] = aligned.gyro_bias
+        if aligned.accel_bias is not None:
+            x[3:6] = aligned.accel_bias
         P[9:12, 9:12] = min(layout.prior[9], aligned.sigma_gyro_bias**2) * np.eye(3)
     drift = math.sqrt(P[9, 9]) * abs(aligned.time - start)
     P[:3, :3] = spread**2 * np.eye(3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -39,6 +39,8 @@ WILD_GYRO = math.radians(1.5)
 WILD_ACCEL = 2.0
 # m/s2
 GRAVITY = 9.80665
+# s without a fix from which on a flight is solved a second time
+LONG_OUTAGE = 8.0
 # share of fixes that may disagree; with more, log and fixes are not of one flight
 MOST_DISAGREE = 1.0 / 3.0
 
@@ -87,23 +89,69 @@ def smooth_flight(
     start = max(float(table[0, 0]), float(fixes.time[0]), refined.time)
     nodes = plan_nodes(table, fixes, start, settings.node_gap)
     nodes = _until_last_fix(nodes, fixes)
-    prior = prior_state(layout, fixes, start, refined, refined.R_ned_from_body)
-    passed, chi, jump, gaps = filter_pass(table, fixes, layout, settings, prior, nodes, aids)
-    _refuse_disagreement(chi, imu.source)
-    model = np.stack([layout.density, layout.tau])
-    m, size = len(nodes[0]), len(layout.prior) - 9
-    nav, x = np.empty((m, 15)), np.empty((m, size))
-    smoothed = np.empty_like(passed[4])
-    run_smoother(nodes[0], jump, model, passed, nav, x, smoothed)
-    _refuse_wild_biases(x, layout, imu.source)
+    found = _solved(table, fixes, layout, settings, refined, nodes, aids)
+    _refuse_disagreement(found.chi, imu.source)
+    _refuse_wild_biases(found.x, layout, imu.source)
+    if _longest_gap(fixes, nodes[0]) > LONG_OUTAGE:
+        found = _solved(table, fixes, layout, settings, _again(refined, found), nodes, aids)
     return InertialTrajectory(
-        imu=table, nodes=nodes[0], nav=nav, x=x, post_nav=passed[2], post_x=passed[3],
-        filtered=passed[4], smoothed=smoothed, transitions=passed[5], jump=jump, model=model,
-        chi=chi, gaps=gaps[(gaps[:, 1] - gaps[:, 0]) > settings.imu_gap],
+        imu=table, nodes=nodes[0], nav=found.nav, x=found.x, post_nav=found.passed[2],
+        post_x=found.passed[3], filtered=found.passed[4], smoothed=found.smoothed,
+        transitions=found.passed[5], jump=found.jump,
+        model=np.stack([layout.density, layout.tau]), chi=found.chi,
+        gaps=found.gaps[(found.gaps[:, 1] - found.gaps[:, 0]) > settings.imu_gap],
         notes=(f"first attitude: {aligned.method}",),
-        doubts=_doubts(chi, nodes[0], aligned, start - float(table[0, 0])),
+        doubts=_doubts(found.chi, nodes[0], aligned, start - float(table[0, 0])),
         sigma_constant=_untold(aligned, settings) if blind else np.zeros(3),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Solved:
+    """What a forward and a backward pass leave."""
+
+    passed: tuple[Array, ...]
+    chi: Array
+    jump: Array
+    gaps: Array
+    nav: Array
+    x: Array
+    smoothed: Array
+
+
+def _solved(
+    table: Array, fixes: Fixes, layout: Layout, settings: NavigationSettings, first: Alignment,
+    nodes: Nodes, aids: Sequence[AidLog],
+) -> _Solved:  # fmt: skip
+    prior = prior_state(layout, fixes, float(nodes[0][0]), first, first.R_ned_from_body)
+    passed, chi, jump, gaps = filter_pass(table, fixes, layout, settings, prior, nodes, aids)
+    m, size = len(nodes[0]), len(layout.prior) - 9
+    nav, x, smoothed = np.empty((m, 15)), np.empty((m, size)), np.empty_like(passed[4])
+    model = np.stack([layout.density, layout.tau])
+    run_smoother(nodes[0], jump, model, passed, nav, x, smoothed)
+    return _Solved(
+        passed=passed, chi=chi, jump=jump, gaps=gaps, nav=nav, x=x, smoothed=smoothed
+    )  # fmt: skip
+
+
+def _longest_gap(fixes: Fixes, nodes: Array) -> float:
+    """Longest time without a fix within the nodes, s."""
+    inside = fixes.time[(fixes.time >= nodes[0]) & (fixes.time <= nodes[-1])]
+    return float(np.max(np.diff(np.concatenate([nodes[:1], inside, nodes[-1:]]))))
+
+
+def _again(first: Alignment, found: _Solved) -> Alignment:
+    """Where to start from once more: as wide as before, but about what the flight has told.
+
+    Through an outage the filter runs on its own biases. About those of the beginning it goes
+    astray, and what brings it back is linearised about a path that was not flown.
+    """
+    return replace(
+        first,
+        R_ned_from_body=found.nav[0, 6:].reshape(3, 3).copy(),
+        gyro_bias=found.x[0, :3].copy(),
+        accel_bias=found.x[0, 3:6].copy(),
+    )
 
 
 def _refuse_disagreement(chi: Array, source: str) -> None:

@@ -24,6 +24,8 @@ TRAJECTORY = "trajectory.npz"
 TABLE = "trajectory.csv"
 PLOTS = "plots"
 EXPOSURES = "exposures.npz"
+# Key of the database's table `meta`: columns that --map told `navigate`, for the events
+MAPS = "log_maps"
 # Parts of [logs] that name one file each, and what is taken from it
 PARTS = {"imu": "imu", "gnss": "gnss", "attitude": "attitude", "trajectory": "trajectory"}
 
@@ -36,19 +38,25 @@ def log_files(project: Project) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def read_project_logs(project: Project, maps: Iterable[str] = ()) -> FlightLogs:
+def read_project_logs(
+    project: Project, maps: Iterable[str] = (), *, strict: bool = False
+) -> FlightLogs:
     """All logs of a project, cleaned.
 
     Parameters
     ----------
     maps
         Columns as `--map` gives them; they go before those of project.toml.
+    strict
+        Whether a sync-board log that cannot be read is an error; else it is a doubt, and the
+        trajectory is made without events.
 
     Raises
     ------
     InputError
         As the readers and the cleaning say.
     """
+    from georef_gis.errors import InputError
     from georef_gis.ingest.logs.cleaning import clean_logs
     from georef_gis.ingest.logs.column_map import ColumnMap
     from georef_gis.ingest.logs.open_log import read_logs
@@ -65,7 +73,15 @@ def read_project_logs(project: Project, maps: Iterable[str] = ()) -> FlightLogs:
     if table is not None:
         path = take.pop("trajectory")
         files = [file for file in files if file != path]
-    logs = read_logs(files, columns, take=take) if files else FlightLogs()
+    sync = None if settings.sync is None else project.path(settings.sync)
+    try:
+        logs = read_logs(files, columns, take=take) if files else FlightLogs()
+    except InputError as error:
+        rest = [file for file in files if file != sync]
+        if strict or error.source != str(sync) or not rest or sync in take.values():
+            raise
+        logs = read_logs(rest, columns, take=take)
+        logs = replace(logs, doubts=(*logs.doubts, f"the exposure events are not used: {error}"))
     if table is not None:
         words = (*logs.doubts, *table.doubts)
         named = ", ".join(filter(None, ("trajectory table", logs.format)))

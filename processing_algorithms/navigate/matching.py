@@ -219,8 +219,8 @@ def _tell(scene: Scene, photos: Sequence[Photo], found: ExposureTimes, said: Sai
         if abs(clock.offset) > LONGEST_ZONE:
             said.doubts.append(
                 f"the camera's clock is {abs(clock.offset) / 86400.0:.1f} days "
-                f"{'ahead of' if clock.offset > 0 else 'behind'} the logs: it was never set, or the "
-                "logs are of another flight over the same ground"
+                f"{'ahead of' if clock.offset > 0 else 'behind'} the logs: it was never set, or "
+                "the logs are of another flight over the same ground"
             )
     said.flight = columns
 

@@ -106,7 +106,7 @@ def _navigate(
     from processing_algorithms.navigate.flight import MAPS, TRAJECTORY, read_project_logs, words
 
     feedback.progress(0.05, "reading logs")
-    logs = read_project_logs(project, parameters.map)
+    logs = read_project_logs(project, parameters.map, strict=parameters.strict)
     check_cancelled(feedback)
     feedback.progress(0.3, "filtering")
     trajectory, notes = _trajectory(project, logs)

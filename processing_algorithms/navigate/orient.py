@@ -28,6 +28,10 @@ SURE = 0.99
 LIKELY = 0.95
 # and an event that is less likely than this is worse than the photo's own tags
 UNLIKELY = 0.8
+# of a height above ground that somebody states: its one sigma
+ABOVE_SHARE = 0.1
+# m and sigmas; a trajectory that is farther from most of the tags is not that of the photos
+ASTRAY, ASTRAY_SIGMAS = 30.0, 6.0
 # deg; a camera that differs more from its tags is mounted otherwise than stated
 MOUNT_DIFFERENCE = 25.0
 # of several kinds of events the first that there is
@@ -209,6 +213,9 @@ class _Work:
             self.trajectory, ids, times, _time_variance(found, order), mount, self.frame.origin,
             sigma_datum=self.frame.datum_sigma, held=held,
         )  # fmt: skip
+        astray = self._astray(result)
+        if astray:
+            return [astray]
         self.joint.append(result)
         lines = []
         kept = sum(pose is not None for pose in held)
@@ -248,6 +255,33 @@ class _Work:
             better = tag is not None and np.trace(tag.covariance[3:, 3:]) < variance
             out.append(tag if better else None)
         return out
+
+    def _astray(self, result: ExposurePoses) -> str:
+        """Whether the trajectory is somewhere else than the photos, in words."""
+        import numpy as np
+
+        pairs = [
+            (np.hypot(*(d := self.tags[name].origin_enu - pose.origin_enu)[:2]), d[:2], pose, name)
+            for name, pose in zip(result.ids, result.poses, strict=True)
+            if name in self.tags
+        ]
+        if not pairs:
+            return ""
+        far = [
+            length > ASTRAY
+            and math.sqrt(
+                float(d @ np.linalg.solve((p.covariance + self.tags[n].covariance)[:2, :2], d))
+            )
+            > ASTRAY_SIGMAS
+            for length, d, p, n in pairs
+        ]
+        if 2 * sum(far) <= len(far):
+            return ""
+        apart = float(np.median([length for length, *_ in pairs]))
+        return (
+            f"the trajectory lies {apart:.0f} m (median) from the tags of {len(pairs)} photos: the "
+            "log is of another flight, or its clock is wrong; the poses of the tags are kept"
+        )
 
     def _height_shift(self, result: ExposurePoses) -> tuple[float, str]:
         """What brings the trajectory's heights onto those the ground was derived from, m.
@@ -309,6 +343,7 @@ class _Work:
         from processing_algorithms.site import load_ground
 
         database = self.project.database
+        self._settle_ground()
         terrain = load_ground(self.project, self.frame)
         rows, refused = [], []
         for name, pose in self.poses.items():
@@ -334,6 +369,26 @@ class _Work:
         if refused and not rows:
             refused.append("no pose of the trajectory is used: check the heights of log and ground")
         return refused
+
+    def _settle_ground(self) -> None:
+        """Lay flat ground under the cameras where only their height above it is stated."""
+        import numpy as np
+
+        from georef_gis.model.terrain import FlatTerrain
+        from processing_algorithms.site import ground_facts
+
+        above = self.project.settings.ground.height_above_ground_m
+        if self.tags or above is None or not self.poses:
+            return
+        origin = self.frame.origin
+        z = float(np.median([pose.origin_enu[2] for pose in self.poses.values()]))
+        terrain = FlatTerrain(
+            origin=origin,
+            height_ellipsoidal=origin.height_ellipsoidal + z - above,
+            sigma=self.project.settings.ground.sigma_m or ABOVE_SHARE * above,
+        )
+        facts = ground_facts(terrain, "[ground] height_above_ground_m below the logs", None)
+        self.project.database.set_meta(ground=facts)
 
     def _row(self, name: str, pose: Pose, agl: float, run_id: int | None) -> dict[str, Any]:
         from georef_gis.project.records import pose_row
@@ -432,9 +487,9 @@ def _time_variance(found: ExposureTimes, order: Sequence[int]) -> Array:
 
 def _events(project: Project, photos: int) -> EventLog | None:
     """The events to match: of the file that [logs] sync names, else the best kind there is."""
-    from processing_algorithms.navigate.flight import read_project_logs
+    from processing_algorithms.navigate.flight import MAPS, read_project_logs
 
-    logs = read_project_logs(project)
+    logs = read_project_logs(project, project.database.meta(MAPS) or ())
     named = project.settings.logs.sync
     candidates = [events for events in logs.events if len(events) > 0]
     if named is not None:
