@@ -462,13 +462,14 @@ def _alternatives(findings: Findings, n: int) -> tuple[str, ...]:
         both = (first >= 0) & (other >= 0)
         shift = int(np.round(np.median(other[both] - first[both]))) if np.any(both) else 0
         what = f"a shift by {shift:+d} event{'s' * (abs(shift) != 1)}" if shift else "another clock"
+        well = "nearly as well" if h.probability > 0.1 else "too"
         words.append(
             f"{what} (clock offset {h.offset:.2f} s instead of {found[0].offset:.2f} s) fits "
-            f"{'nearly as well' if h.probability > 0.1 else 'too'}: confidence {h.probability:.3f}"
+            f"{well}, with a confidence of {h.probability:.3f}"
         )
     if findings.unseen > _NAMED:
-        words.append(f"other clocks fit, too: confidence {findings.unseen:.3f} together")
+        words.append(f"other clocks fit, too, with a confidence of {findings.unseen:.3f} together")
     unrelated = 1.0 - findings.unseen - sum(h.probability for h in found)
     if unrelated > _NAMED:
-        words.append(f"photos and events of different flights: confidence {unrelated:.3f}")
+        words.append(f"photos and events may be of different flights (confidence {unrelated:.3f})")
     return tuple(words)

@@ -183,7 +183,7 @@ def _summary(photos: TaggedPositions, fits: list[tuple[float, float, float, floa
     best = fits[order[0]]
     words = tuple(
         f"a clock offset of {fits[k][0]:.1f} s instead of {best[0]:.1f} s fits, too (a track flown "
-        f"twice?): confidence {p[k]:.3f}"
+        f"twice?), with a confidence of {p[k]:.3f}"
         for k in order[1:]
         if p[k] > 0.002
     )

@@ -192,6 +192,9 @@ class _Work:
 
     def _note_time(self, photo: Photo, found: ExposureTimes, i: int) -> None:
         time, sigma = float(found.time[i]), float(found.sigma[i])
+        if self._unlikely(photo, found, i):
+            # an event that is not believed tells no time; its confidence still tells why
+            time = math.nan
         self.times[photo.id] = {
             "time_gps": time - self.epoch if math.isfinite(time) else None,
             "time_sigma_s": sigma if math.isfinite(sigma) else None,
@@ -403,8 +406,10 @@ class _Work:
         database = self.project.database
         for row in database.rows("photo"):
             columns = self.times.get(row["photo_id"])
-            if columns is None or columns["time_gps"] is None:
+            if columns is None:
                 continue
+            if columns["time_gps"] is None:
+                columns = {"match_confidence": columns["match_confidence"]}
             tags = dict(row["tags"] or {})
             keys = ("time_gps", "time_sigma_s", "time_source")
             tags.setdefault("tag_time", {key: row[key] for key in keys})
