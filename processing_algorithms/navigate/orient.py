@@ -30,10 +30,6 @@ LIKELY = 0.95
 UNLIKELY = 0.8
 # of a height above ground that somebody states: its one sigma
 ABOVE_SHARE = 0.1
-# m and sigmas; a trajectory that is farther from most of the tags is not that of the photos
-ASTRAY, ASTRAY_SIGMAS = 30.0, 6.0
-# deg; a camera that differs more from its tags is mounted otherwise than stated
-MOUNT_DIFFERENCE = 25.0
 # of several kinds of events the first that there is
 EVENT_KINDS = ("sync_board", "feedback", "trigger")
 
@@ -206,6 +202,12 @@ class _Work:
 
         from georef_gis.navigate.exposure_poses import exposure_poses
         from processing_algorithms.navigate.flight import project_mount
+        from processing_algorithms.navigate.pose_checks import (
+            astray,
+            height_shift,
+            levelled,
+            mount_difference,
+        )
 
         order = sorted(usable, key=lambda i: float(found.time[i]))
         times = found.time[order]
@@ -216,9 +218,8 @@ class _Work:
             self.trajectory, ids, times, _time_variance(found, order), mount, self.frame.origin,
             sigma_datum=self.frame.datum_sigma, held=held,
         )  # fmt: skip
-        astray = self._astray(result)
-        if astray:
-            return [astray]
+        if line := astray(result, self.tags):
+            return [line]
         self.joint.append(result)
         lines = []
         kept = sum(pose is not None for pose in held)
@@ -227,12 +228,12 @@ class _Work:
                 f"{kept} of {len(ids)} photos keep the angles of their tags, which are surer than "
                 "those of the trajectory"
             )
-        shift, line = self._height_shift(result)
+        shift, line = height_shift(result, self.tags, self.project.settings.ground)
         if line:
             lines.append(line)
         for name, pose, i in zip(ids, result.poses, order, strict=True):
             turned = math.radians(self.turned.get(name, 0))
-            level = _levelled(pose, shift, self.tags.get(name))
+            level = levelled(pose, shift, self.tags.get(name))
             self.poses[name] = replace(level, R_enu_from_cam=_spun(level.R_enu_from_cam, -turned))
             confidence = float(found.confidence[i])
             if confidence < SURE:
@@ -242,7 +243,10 @@ class _Work:
         unsure = sum(float(found.confidence[i]) < SURE for i in order)
         if unsure:
             lines.append(f"{unsure} of {len(order)} exposure times are less than 99 % sure")
-        return lines + self._mount_check()
+        if not self.project.settings.mount.gimbal:
+            said = {photo.id for photo in self.photos if photo.attitude is not None}
+            lines += mount_difference(self.poses, self.tags, said)
+        return lines
 
     def _held(self, ids: Sequence[str], times: Array, mount: Mount) -> list[Pose | None]:
         """Poses of the tags whose angles are to be kept: a gimbal's, or surer ones."""
@@ -258,87 +262,6 @@ class _Work:
             better = tag is not None and np.trace(tag.covariance[3:, 3:]) < variance
             out.append(tag if better else None)
         return out
-
-    def _astray(self, result: ExposurePoses) -> str:
-        """Whether the trajectory is somewhere else than the photos, in words."""
-        import numpy as np
-
-        pairs = [
-            (np.hypot(*(d := self.tags[name].origin_enu - pose.origin_enu)[:2]), d[:2], pose, name)
-            for name, pose in zip(result.ids, result.poses, strict=True)
-            if name in self.tags
-        ]
-        if not pairs:
-            return ""
-        far = [
-            length > ASTRAY
-            and math.sqrt(
-                float(d @ np.linalg.solve((p.covariance + self.tags[n].covariance)[:2, :2], d))
-            )
-            > ASTRAY_SIGMAS
-            for length, d, p, n in pairs
-        ]
-        if 2 * sum(far) <= len(far):
-            return ""
-        apart = float(np.median([length for length, *_ in pairs]))
-        return (
-            f"the trajectory lies {apart:.0f} m (median) from the tags of {len(pairs)} photos: the "
-            "log is of another flight, or its clock is wrong; the poses of the tags are kept"
-        )
-
-    def _height_shift(self, result: ExposurePoses) -> tuple[float, str]:
-        """What brings the trajectory's heights onto those the ground was derived from, m.
-
-        A DEM or a stated height is absolute, and so are the logs. A ground that was derived from
-        the tags' heights is not: the cameras must keep their height above it.
-        """
-        import numpy as np
-
-        ground = self.project.settings.ground
-        both = [
-            (self.tags[name].origin_enu[2] - pose.origin_enu[2], pose.covariance[2, 2])
-            for name, pose in zip(result.ids, result.poses, strict=True)
-            if name in self.tags
-        ]
-        if not both:
-            return 0.0, ""
-        shift = float(np.median([d for d, _ in both]))
-        sigma = math.sqrt(float(np.median([v for _, v in both])))
-        if ground.dem is None and ground.height_m is None:
-            return shift, ""
-        limit = max(5.0 * sigma, 15.0)
-        if abs(shift) <= limit:
-            return 0.0, ""
-        return 0.0, (
-            f"the logs put the cameras {abs(shift):.0f} m {'below' if shift > 0 else 'above'} the "
-            "tags: one of the two heights is of another kind; check [gnss] height_kind and the log"
-        )
-
-    def _mount_check(self) -> list[str]:
-        """Whether tags and trajectory agree on where the camera looks."""
-        import numpy as np
-
-        from georef_gis.frames import rotation_angle
-
-        if self.project.settings.mount.gimbal:
-            return []
-        said = {q.id for q in self.photos if q.attitude is not None}
-        both = [name for name in self.poses if name in self.tags and name in said]
-        if len(both) < 3:
-            return []
-        apart = [
-            math.degrees(
-                rotation_angle(self.tags[n].R_enu_from_cam @ self.poses[n].R_enu_from_cam.T)
-            )
-            for n in both
-        ]
-        middle = float(np.median(apart))
-        if middle < MOUNT_DIFFERENCE:
-            return []
-        return [
-            f"tags and trajectory differ by {middle:.0f} deg in where the camera looks: check "
-            "[mount] image_top and looks, set gimbal = true for a gimbal, or the axes of the IMU"
-        ]
 
     def save(self, run_id: int | None) -> list[str]:
         """Write poses, times and clocks; what is doubtful, in words."""
@@ -440,25 +363,6 @@ def _order(photo: Photo) -> tuple[Any, ...]:
         photo.time_gps if photo.time_gps is not None else math.inf,
         file_number(photo.path.name) or 0,
         photo.id,
-    )
-
-
-def _levelled(pose: Pose, shift: float, tag: Pose | None) -> Pose:
-    """Pose whose height belongs to the ground: the log's, or shifted onto the tags' level."""
-    import numpy as np
-
-    if shift == 0.0 or tag is None:
-        return replace(pose, height_kind="ellipsoidal (log)")
-    # over a ground that hangs below the tags, the height over it is as good as theirs
-    sigma, own = math.sqrt(tag.covariance[2, 2]), math.sqrt(pose.covariance[2, 2])
-    scale = np.ones(6)
-    scale[2] = min(1.0, sigma / own)
-    return replace(
-        pose,
-        origin_enu=pose.origin_enu + np.array([0.0, 0.0, shift]),
-        covariance=pose.covariance * np.outer(scale, scale),
-        sigma_height_shared=tag.sigma_height_shared,
-        height_kind=tag.height_kind,
     )
 
 
