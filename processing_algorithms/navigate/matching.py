@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 GRID = 0.25
 # s; no time zone and no carelessness puts a clock that was set farther off
 LONGEST_ZONE = 1.5 * 86400.0
+# an offset less sure than this is a guess
+GUESS = 0.5
 # m, one sigma of a tagged position where the tag states none
 SIGMA_TAG = 3.0
 
@@ -79,9 +81,27 @@ def match_flight(scene: Scene, photos: Sequence[Photo]) -> tuple[ExposureTimes, 
         np.array([_tag_sigma(photo) for photo in photos]),
         track,
     )
+    found = _no_surer_than_the_clock(found)
     said.doubts += [*found.doubts, *found.alternatives]
     _tell(scene, photos, found, said)
     return found, said
+
+
+def _no_surer_than_the_clock(found: ExposureTimes) -> ExposureTimes:
+    """Times by the clock alone, with a confidence that is at most that of the clock's offset.
+
+    The offset is as sure as the events that it was found by, which tagged places make surer.
+    """
+    import numpy as np
+
+    if found.clock is None:
+        return found
+    by_clock = np.array([source == "clock" for source in found.source])
+    matched = found.confidence[found.event >= 0]
+    offset = max(found.clock.confidence, float(np.median(matched)) if len(matched) else 0.0)
+    # what a photo without event is sure of is that it has none: that says nothing of its time
+    most = np.where(by_clock & (offset < GUESS), offset, 1.0)
+    return replace(found, confidence=np.minimum(found.confidence, most))
 
 
 def _clock(photo: Photo, epoch: float) -> PhotoClock:

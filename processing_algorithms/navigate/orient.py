@@ -28,6 +28,8 @@ SURE = 0.99
 LIKELY = 0.95
 # and an event that is less likely than this is worse than the photo's own tags
 UNLIKELY = 0.8
+# and a time by a clock as unlikely as this is a guess
+GUESSED = 0.5
 # of a height above ground that somebody states: its one sigma
 ABOVE_SHARE = 0.1
 # of several kinds of events the first that there is
@@ -180,9 +182,20 @@ class _Work:
         return lines
 
     def _unlikely(self, photo: Photo, found: ExposureTimes, i: int) -> str:
-        """Why an event is not to be believed where the photo has tags; empty where it is."""
+        """Why a time is not to be believed; empty where it is.
+
+        A doubtful event is better than nothing for a photo without tags: its sigma covers the
+        neighbouring ones. A clock whose offset is a guess may be off by anything.
+        """
         confidence = float(found.confidence[i])
-        if found.event[i] < 0 or confidence >= UNLIKELY or photo.id not in self.tags:
+        if found.event[i] < 0:
+            if found.source[i] != "clock" or confidence >= GUESSED:
+                return ""
+            return (
+                f"the offset of its camera's clock is found with a confidence of "
+                f"{100 * confidence:.0f} % only"
+            )
+        if confidence >= UNLIKELY or photo.id not in self.tags:
             return ""
         return f"its exposure is matched with a confidence of {100 * confidence:.0f} % only"
 
