@@ -40,7 +40,7 @@ def clock_seconds(reading: datetime) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClockFit:
-    """Camera clock minus GPS time.
+    """Camera clock, read as if it were UTC, minus the true time: camera clock minus UTC.
 
     Parameters
     ----------

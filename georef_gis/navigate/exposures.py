@@ -72,7 +72,7 @@ class MatchOptions:
     Parameters
     ----------
     offset, offset_sigma : s
-        Camera clock minus GPS time (time zone included), from the user; None: unknown.
+        Camera clock minus UTC (time zone included), from the user; None: unknown.
     missed, spurious
         Share of photos without event, and of events without photo.
     jitter, lag, lag_sigma : s

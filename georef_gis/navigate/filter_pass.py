@@ -133,7 +133,7 @@ def _gaps(imu: Array, nodes: Array) -> tuple[Array, Array]:
     return jump, np.column_stack([imu[long, 0], imu[long + 1, 0]])
 
 
-def _aid_table(nodes: Array, aids: Sequence[AidLog]) -> Array:
+def _aid_table(nodes: Array, aids: Sequence[AidLog], fixes: Fixes) -> Array:
     """Values and sigmas of the aids at nodes, (m, 3, 2); at most two a second."""
     out = np.full((len(nodes), 3, 2), np.nan)
     for aid in aids:
@@ -142,16 +142,35 @@ def _aid_table(nodes: Array, aids: Sequence[AidLog]) -> Array:
         column = AID_COLUMNS[aid.kind]
         default = {"heading": math.radians(10.0), "baro_height": 2.0, "airspeed": 2.0}[aid.kind]
         last = -math.inf
-        near = np.clip(np.searchsorted(aid.time, nodes), 0, len(aid) - 1)
+        near = _nearest(aid.time, nodes)
+        zero = _zero_of(aid, fixes) if aid.kind == "baro_height" else 0.0
         for m, i in enumerate(near):
             if nodes[m] - last < 0.5 or abs(aid.time[i] - nodes[m]) > 0.15:
                 continue
-            value = float(aid.value[i])
+            value = float(aid.value[i]) + zero
             sigma = float(aid.sigma[i]) if np.isfinite(aid.sigma[i]) else default
             if math.isfinite(value):
                 out[m, column] = value, sigma
                 last = nodes[m]
     return out
+
+
+def _nearest(times: Array, wanted: Array) -> NDArray[np.int64]:
+    """Index of the time nearest to each wanted one."""
+    after = np.clip(np.searchsorted(times, wanted), 1, max(len(times) - 1, 1))
+    after = np.minimum(after, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    closer = np.abs(times[before] - wanted) < np.abs(times[after] - wanted)
+    return np.where(closer, before, after).astype(np.int64)
+
+
+def _zero_of(aid: AidLog, fixes: Fixes) -> float:
+    """What brings a barometer's heights, of whatever zero, to those of the fixes, m."""
+    good = np.isfinite(aid.value) & np.isfinite(aid.time)
+    if not good.any():
+        return 0.0
+    height = np.interp(aid.time[good], fixes.time, fixes.p_geo[:, 2])
+    return float(np.median(height - aid.value[good]))
 
 
 def prior_state(layout: Layout, fixes: Fixes, start: float, aligned: Alignment, R: Array) -> tuple[
@@ -208,7 +227,8 @@ def filter_pass(
         imu, times, jump, fix, np.array([layout.slow, layout.baro, layout.wind, 0]),
         np.stack([layout.density, layout.tau]),
         (np.stack([fixes.p_geo, fixes.v]), np.stack([fixes.R_p, fixes.R_v])),
-        _aid_table(times, aids), np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
+        _aid_table(times, aids, fixes),
+        np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
         gates, prior[0].copy(), prior[1].copy(), prior[2].copy(), out, chi,
     )  # fmt: skip
     if reached < m:

@@ -17,6 +17,8 @@ TAG_AGE = 0.15
 SLOWEST = 2.0
 # sigmas beyond which a place contradicts a time
 CONTRADICTION = 4.0
+# s; events nearer than this are one
+TWICE = 0.02
 # a place is an outlier of its own as often as this
 STRAY = 1e-3
 
@@ -62,7 +64,8 @@ def with_tagged_places(
 def _surer(confidence: float, late: float, own: float, events: Array, index: int) -> float:
     """Confidence after a tag that lies `late` s ahead of the event's place, with sigma `own`."""
     gaps = np.abs(events - events[index])
-    gaps[index] = math.inf
+    # a line that is noted twice, or has no time, is no other event
+    gaps = np.where(gaps > TWICE, gaps, math.inf)
     step = float(np.min(gaps)) if len(events) > 1 else 10.0
     here = math.exp(-0.5 * (late / own) ** 2)
     nearest = abs(late) - step

@@ -230,7 +230,12 @@ def _plainest(tried: dict[tuple[float, float], float]) -> tuple[float, float]:
     """Of all that are nearly as likely as the best, the nearest to the noise that was stated."""
     top = max(tried.values())
     good = [pair for pair, value in tried.items() if value > top - WORTH]
-    return min(good, key=lambda pair: abs(math.log(pair[0])) + abs(math.log(pair[1])))
+
+    def far(factor: float) -> float:
+        # of two that are as likely, the one that trusts the IMU less does less harm
+        return abs(math.log(factor)) * (1.0 if factor >= 1.0 else 3.0)
+
+    return min(good, key=lambda pair: far(pair[0]) + far(pair[1]))
 
 
 def _same(a: tuple[float, float], b: tuple[float, float]) -> bool:

@@ -261,7 +261,7 @@ class LogsSection(Section):
         '"gnss" (no IMU)',
     )
     camera_clock_offset_s: float | None = Field(
-        default=None, description="Camera clock minus GPS time, s, where it is known"
+        default=None, description="Camera clock minus UTC, s, time zone included, where known"
     )
     sigma_camera_clock_s: float = Field(
         default=30.0, gt=0, description="One sigma of camera_clock_offset_s, s"

@@ -233,8 +233,7 @@ def _tell(scene: Scene, photos: Sequence[Photo], found: ExposureTimes, said: Sai
             "clock_sigma_s": clock.sigma,
         }
         said.notes.append(
-            f"camera clock less GPS time: {clock.offset:.2f} +- {clock.sigma:.2f} s "
-            f"({clock.source})"
+            f"camera clock less UTC: {clock.offset:.2f} +- {clock.sigma:.2f} s ({clock.source})"
         )
         if abs(clock.offset) > LONGEST_ZONE:
             said.doubts.append(

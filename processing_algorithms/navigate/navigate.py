@@ -329,7 +329,9 @@ def _report_filter(project: Project, logs: FlightLogs) -> tuple[Any, tuple[str, 
 
     assert logs.imu is not None
     assert logs.gnss is not None
-    log = trajectory_of_ekf9(run_ekf9(logs.imu, logs.gnss))
+    late = project.settings.gnss.latency_s or 0.0
+    fixes = replace(logs.gnss, time=logs.gnss.time - late)
+    log = trajectory_of_ekf9(run_ekf9(logs.imu, fixes))
     # the report's filter takes every error of the fixes for white; the slow part stays
     gnss = project.settings.gnss
     slow = prepare_fixes(logs.gnss, slow_sigma=gnss.slow_sigma_m, geoid=gnss.geoid).slow

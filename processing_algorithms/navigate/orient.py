@@ -245,7 +245,9 @@ class _Work:
         if line:
             lines.append(line)
         for name, pose, i in zip(ids, result.poses, order, strict=True):
-            turned = math.radians(self.turned.get(name, 0))
+            # the angles of the tags hold the turn of the pixels already
+            own = held[ids.index(name)] is None
+            turned = math.radians(self.turned.get(name, 0)) if own else 0.0
             level = levelled(pose, shift, self.tags.get(name))
             self.poses[name] = replace(level, R_enu_from_cam=_spun(level.R_enu_from_cam, -turned))
             confidence = float(found.confidence[i])
@@ -413,7 +415,10 @@ def _events(project: Project, photos: int) -> EventLog | None:
 
     logs = read_project_logs(project, project.database.meta(MAPS) or ())
     named = project.settings.logs.sync
-    candidates = [events for events in logs.events if len(events) > 0]
+    clocks = [log.scale for log in (logs.gnss, logs.imu, logs.trajectory) if log is not None]
+    # a device that counts from its own start cannot be laid on a trajectory of GPS time
+    scale = clocks[0] if clocks else "gps"
+    candidates = [e for e in logs.events if len(e) > 0 and e.scale == scale]
     if named is not None:
         path = str(project.path(named))
         own = [events for events in candidates if events.source.startswith(path)]
