@@ -1,0 +1,1 @@
+"""One-step adjustment: poses, cameras, mounts, clocks, ground points and control together."""

@@ -1,0 +1,150 @@
+"""Covariances of anything that was adjusted, on demand from the kept factor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from georef_gis.frames import Array
+from georef_gis.orient.adjustment.kernels import point_covariances, point_rows
+from georef_gis.orient.adjustment.problem import Problem, State
+
+
+class Covariances:
+    """Joint covariances at the solution.
+
+    The unknowns are the poses, 6 each, and what is shared; a ground point follows from them plus
+    what its own pixels leave open. Where control gives the level, heights include it.
+    """
+
+    def __init__(self, problem: Problem, state: State, scale: float, factor: float = 1.0) -> None:
+        """Factor the normal matrix at a state.
+
+        Parameters
+        ----------
+        scale
+            Of the loss, as the solution has it.
+        factor
+            What all covariances are multiplied by (sigma0 squared, if it applies).
+        """
+        self._problem, self._state, self._factor_scale = problem, state, factor
+        self._scale2 = scale * scale
+        H, _ = problem.dense_normal(state, problem.reduced(state, self._scale2, 0.0))
+        self.diagonal = np.diag(H).copy()
+        self._norm = 1.0 / np.sqrt(self.diagonal)
+        H *= self._norm[:, None]
+        H *= self._norm
+        self._factor = cho_factor(H, lower=True, overwrite_a=True, check_finite=False)
+        self._n = 6 * len(state.origin)
+        self.with_level = problem.block.sigma_level > 0
+        self._inverse: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns without the points."""
+        return len(self._norm)
+
+    def of_rows(self, rows: Array) -> Array:
+        """Covariance of linear functions of the unknowns; (k, N) -> (k, k)."""
+        half = cho_solve(self._factor, (rows * self._norm).T, check_finite=False)
+        return np.asarray(self._factor_scale * (rows * self._norm) @ half)
+
+    def inverse(self) -> Array:
+        """Covariance of all poses and shared unknowns, (N, N); kept once asked for."""
+        if self._inverse is None:
+            full = cho_solve(self._factor, np.eye(self.size), check_finite=False)
+            full *= self._norm[:, None]
+            full *= self._norm * self._factor_scale
+            held = self._n + np.flatnonzero(~self._problem.free)
+            full[held], full[:, held] = 0.0, 0.0
+            self._inverse = full
+        return self._inverse
+
+    # -- rows of what is asked for -------------------------------------------------------------
+
+    def pose_rows(self, photos: Sequence[int]) -> Array:
+        """Rows of the pose errors (dp_enu, dtheta_enu) of photos; (6 k, N)."""
+        rows = np.zeros((6 * len(photos), self.size))
+        for k, i in enumerate(photos):
+            rows[6 * k + np.arange(6), 6 * i + np.arange(6)] = 1.0
+            if self.with_level:
+                rows[6 * k + 2, -1] = 1.0
+        return rows
+
+    def shared_rows(self, indices: Sequence[int]) -> Array:
+        """Rows of shared unknowns, counted as in `Block.shared_names`; (k, N)."""
+        rows = np.zeros((len(indices), self.size))
+        for k, i in enumerate(indices):
+            rows[k, self._n + i] = 1.0 if self._problem.free[i] else 0.0
+        return rows
+
+    def point_rows(self, points: Sequence[int]) -> tuple[Array, Array]:
+        """Rows of ground points (3 k, N), and what their own pixels leave open (3 k, 3 k)."""
+        k = len(points)
+        rows, own = np.zeros((3 * k, self.size)), np.zeros((3 * k, 3 * k))
+        for a, j in enumerate(points):
+            here, alone = np.zeros((3, self.size)), np.zeros((3, 3))
+            seen = point_rows(int(j), *self._arguments(), self._n, here, alone)
+            here[:, self._n + np.flatnonzero(~self._problem.free)] = 0.0
+            if self.with_level:
+                here[2, -1] += 1.0
+            block = slice(3 * a, 3 * a + 3)
+            rows[block] = here if seen else np.nan
+            own[block, block] = alone * self._factor_scale
+        return rows, own
+
+    def _arguments(self) -> tuple[object, ...]:
+        problem, state = self._problem, self._state
+        settings = (self._scale2, 0.0, state.level, problem.block.n_shared - 1)
+        return (
+            problem.observations(), problem.values(state), problem.place(state), problem.span,
+            problem.block.camera_of, settings,
+        )  # fmt: skip
+
+    # -- what is mostly asked for --------------------------------------------------------------
+
+    def joint(
+        self,
+        *,
+        photos: Sequence[int] = (),
+        shared: Sequence[int] = (),
+        points: Sequence[int] = (),
+    ) -> Array:
+        """Joint covariance of poses, shared unknowns and points, in this order.
+
+        Returns
+        -------
+        shape (6 a + b + 3 c, 6 a + b + 3 c)
+            m, rad, px and s as they are.
+        """
+        rows, own = self.point_rows(points)
+        all_rows = np.vstack([self.pose_rows(photos), self.shared_rows(shared), rows])
+        out = self.of_rows(all_rows)
+        start = len(all_rows) - len(rows)
+        out[start:, start:] += own
+        return np.asarray((out + out.T) / 2)
+
+    def poses(self) -> Array:
+        """Covariance of every pose alone; (n, 6, 6)."""
+        n, inverse = self._n // 6, self.inverse()
+        blocks = inverse[: self._n, : self._n].reshape(n, 6, n, 6)
+        out = blocks[np.arange(n), :, np.arange(n), :].copy()
+        if self.with_level:
+            cross = inverse[: self._n, -1].reshape(n, 6)
+            out[:, :, 2] += cross
+            out[:, 2, :] += cross
+            out[:, 2, 2] += inverse[-1, -1]
+        return np.asarray((out + np.swapaxes(out, 1, 2)) / 2)
+
+    def shared(self) -> Array:
+        """Covariance of all shared unknowns, (G, G); zero where one is held."""
+        return self.inverse()[self._n :, self._n :]
+
+    def points(self) -> Array:
+        """Covariance of every point alone, (k, 3, 3); NaN where one cannot be placed."""
+        out = np.zeros((len(self._problem.span) - 1, 3, 3))
+        inverse = self.inverse() / self._factor_scale
+        point_covariances(*self._arguments(), inverse, self.with_level, out)
+        return out * self._factor_scale

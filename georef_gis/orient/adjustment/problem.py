@@ -1,0 +1,267 @@
+"""The state of an adjustment and its normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.frames import Array, exp_so3
+from georef_gis.model.tie_points import TiePoints
+from georef_gis.orient.adjustment.block import (
+    FLIGHT_UNKNOWNS,
+    Block,
+    camera_vector,
+    joined_observations,
+    marked_points,
+    moved_camera_vector,
+)
+from georef_gis.orient.adjustment.flight_model import FlightModel
+from georef_gis.orient.adjustment.kernels import (
+    CAMERA_UNKNOWNS,
+    MAX_RAYS,
+    move_points,
+    reduce_points,
+    residuals,
+)
+from georef_gis.orient.adjustment.whole_moves import WholeMove, whole_move
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class State:
+    """Values of all unknowns: poses, cameras (c, 12), points, shared ones of flights (f, 10)."""
+
+    origin: Array
+    rotation: Array
+    cameras: Array
+    points: Array
+    flights: Array
+    level: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reduced:
+    """Normal equations without the points: blocks of pairs of photos, border, corner."""
+
+    blocks: Array
+    border: Array
+    corner: Array
+    rhs_pose: Array
+    rhs_shared: Array
+    lost: int
+
+
+def pairs_of(observations: TiePoints, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Photos that see a point together, as rows: where row i begins, and its columns j >= i."""
+    keys = [np.arange(n, dtype=np.int64) * (n + 1)]
+    photo, point = observations.photo.astype(np.int64), observations.point
+    for shift in range(1, MAX_RAYS):
+        together = point[shift:] == point[:-shift]
+        if not np.any(together):
+            break
+        a, b = photo[:-shift][together], photo[shift:][together]
+        keys.append(np.unique(np.minimum(a, b) * n + np.maximum(a, b)))
+    pairs = np.unique(np.concatenate(keys))
+    start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int64)
+    return start, pairs % n
+
+
+class Problem:
+    """A block made ready for the compiled loops."""
+
+    def __init__(self, block: Block, points: Array) -> None:
+        """Take the block and first guesses of all points (tie points, then marked control)."""
+        self.block = block
+        self.ties, self.mark_of = joined_observations(block.ties, block.control)
+        self.span = np.searchsorted(self.ties.point, np.arange(self.ties.n_points + 1))
+        self.marked = marked_points(block.control)
+        poses = block.poses
+        origin = np.array([pose.origin_enu for pose in poses])
+        rotation = np.array([pose.R_enu_from_cam for pose in poses])
+        self.flights = [FlightModel(prior, origin, rotation) for prior in block.flights]
+        self.motion = np.zeros((len(poses), 6))
+        for flight in block.flights:
+            self.motion[flight.photos, :3] = flight.velocity_enu
+            self.motion[flight.photos, 3:] = flight.rate_enu
+        self.nominal = np.array([camera_vector(p.camera) for p in block.cameras])
+        self.heights = np.array([float(p.camera.height) for p in block.cameras])
+        self.camera_information = self._camera_information()
+        self.free = self._free()
+        self.pattern = pairs_of(self.ties, len(poses))
+        self.sigma = self.ties.sigma.copy()
+        self._know_points()
+        start = block.start or poses
+        self.start = State(
+            origin=np.array([pose.origin_enu for pose in start]),
+            rotation=np.array([pose.R_enu_from_cam for pose in start]),
+            cameras=self.nominal.copy(),
+            points=np.ascontiguousarray(points, dtype=np.float64),
+            flights=np.zeros((len(block.flights), FLIGHT_UNKNOWNS)),
+            level=0.0,
+        )
+
+    def _camera_information(self) -> Array:
+        sigma = np.concatenate([p.sigma for p in self.block.cameras])
+        return np.asarray(np.where(sigma > 0, 1.0 / np.where(sigma > 0, sigma, 1.0) ** 2, 0.0))
+
+    def _free(self) -> NDArray[np.bool_]:
+        cameras = self.camera_information > 0
+        flights = [flight.free for flight in self.flights]
+        return np.concatenate([cameras, *flights, [self.block.sigma_level > 0]])
+
+    def _know_points(self) -> None:
+        """What is known of points beforehand: the ground's height, surveyed places."""
+        n, block = self.ties.n_points, self.block
+        self.target, self.information = np.zeros((n, 3)), np.zeros((n, 3))
+        self.uses_level = np.zeros(n, dtype=np.bool_)
+        ground, ties = block.ground, block.ties.n_points
+        if ground is not None and ties:
+            known = np.isfinite(ground.z_enu)
+            spread = max(np.count_nonzero(known) / ground.independent, 1.0)
+            self.information[:ties, 2] = np.where(known, 1.0 / (ground.sigma**2 * spread), 0.0)
+            self.target[:ties, 2] = np.where(known, ground.z_enu, 0.0)
+        if block.control is not None:
+            for row, index in enumerate(self.marked, start=ties):
+                if not block.control.used[index]:
+                    continue
+                sigma, place = block.control.sigma[index], block.control.p_enu[index]
+                self.information[row] = np.where(np.isfinite(sigma), 1.0 / sigma**2, 0.0)
+                self.target[row] = np.where(np.isfinite(sigma), place, 0.0)
+                self.uses_level[row] = True
+
+    # -- arguments of the compiled loops -------------------------------------------------------
+
+    def observations(self) -> tuple[object, ...]:
+        """Observations as the kernels take them."""
+        block, ties = self.block, self.ties
+        return (ties.photo, ties.point, ties.uv, self.sigma, block.camera_of, self.heights)
+
+    def values(self, state: State) -> tuple[Array, ...]:
+        """State as the kernels take it."""
+        return (state.origin, state.rotation, self.motion, state.cameras, state.points)
+
+    def place(self, state: State) -> tuple[object, ...]:
+        """What is known of the points, as the kernels take it."""
+        return (state.points, self.target, self.information, self.uses_level)
+
+    # -- cost ----------------------------------------------------------------------------------
+
+    def shared_vector(self, state: State) -> Array:
+        """Steps of the shared unknowns from where their priors put them; shape (G,)."""
+        moved = state.cameras - self.nominal
+        cameras = np.concatenate([moved[:, :1], moved[:, 2:]], axis=1).ravel()
+        return np.concatenate([cameras, state.flights.ravel(), [state.level]])
+
+    def image_cost(self, state: State, scale2: float) -> tuple[float, Array, Array]:
+        """Robust cost of the observations, residuals (m, 2) px and weights (m,)."""
+        r, w = np.zeros((len(self.ties.photo), 2)), np.zeros(len(self.ties.photo))
+        cost = residuals(self.observations(), self.values(state), scale2, r, w)
+        return float(cost), r, w
+
+    def prior_cost(self, state: State) -> float:
+        """Cost of all that is known beforehand."""
+        cost = 0.0
+        for flight, shared in zip(self.flights, state.flights, strict=True):
+            d = flight.residual(state.origin, state.rotation, shared)
+            cost += flight.cost(d, shared)
+        moved = self.shared_vector(state)[: len(self.camera_information)]
+        cost += 0.5 * float(moved @ (self.camera_information * moved))
+        if self.block.sigma_level > 0:
+            cost += 0.5 * (state.level / self.block.sigma_level) ** 2
+        off = self.target - state.points
+        off[:, 2] -= np.where(self.uses_level, state.level, 0.0)
+        return cost + 0.5 * float(np.sum(self.information * off**2))
+
+    # -- normal equations ----------------------------------------------------------------------
+
+    def reduced(self, state: State, scale2: float, damping: float) -> Reduced:
+        """Normal equations of the observations with the points eliminated."""
+        n, G = len(state.origin), self.block.n_shared
+        start, column = self.pattern
+        blocks = np.zeros((len(column), 6, 6))
+        border, corner = np.zeros((n, 6, G)), np.zeros((G, G))
+        rhs_pose, rhs_shared = np.zeros((n, 6)), np.zeros(G)
+        lost = reduce_points(
+            self.observations(), self.values(state), self.place(state), self.span,
+            self.block.camera_of, (scale2, damping, state.level, G - 1), (start, column),
+            (blocks, border, corner, rhs_pose, rhs_shared),
+        )  # fmt: skip
+        corner = np.triu(corner) + np.triu(corner, 1).T
+        return Reduced(
+            blocks=blocks, border=border, corner=corner, rhs_pose=rhs_pose, rhs_shared=rhs_shared,
+            lost=int(lost),
+        )  # fmt: skip
+
+    def dense_normal(self, state: State, reduced: Reduced) -> tuple[Array, Array]:
+        """Whole normal matrix of poses and shared unknowns, and right side; (N, N), (N,)."""
+        n, G = len(state.origin), self.block.n_shared
+        N = 6 * n + G
+        H, rhs = np.zeros((N, N)), np.zeros(N)
+        start, column = self.pattern
+        row = np.repeat(np.arange(n), np.diff(start))
+        view = H[: 6 * n, : 6 * n].reshape(n, 6, n, 6)
+        view[row, :, column, :] = reduced.blocks
+        off = row != column
+        view[column[off], :, row[off], :] = np.swapaxes(reduced.blocks[off], 1, 2)
+        H[: 6 * n, 6 * n :] = reduced.border.reshape(6 * n, G)
+        H[6 * n :, 6 * n :] = reduced.corner
+        rhs[: 6 * n], rhs[6 * n :] = reduced.rhs_pose.ravel(), reduced.rhs_shared
+        self._add_priors(state, H, rhs)
+        H[6 * n :, : 6 * n] = H[: 6 * n, 6 * n :].T
+        held = 6 * n + np.flatnonzero(~self.free)
+        H[held], H[:, held], rhs[held] = 0.0, 0.0, 0.0
+        H[held, held] = 1.0
+        return H, rhs
+
+    def _add_priors(self, state: State, H: Array, rhs: Array) -> None:
+        n = 6 * len(state.origin)
+        for index, flight in enumerate(self.flights):
+            shared = state.flights[index]
+            d = flight.residual(state.origin, state.rotation, shared)
+            poses, border, corner, rhs_pose, rhs_shared = flight.normal(d, shared)
+            where = (6 * flight.prior.photos[:, None] + np.arange(6)).ravel()
+            at = n + self.block.flight_at(index)
+            columns = slice(at, at + FLIGHT_UNKNOWNS)
+            if len(where) == n and np.array_equal(where, np.arange(n)):
+                H[:n, :n] += poses
+                H[:n, columns] += border
+            else:
+                H[np.ix_(where, where)] += poses
+                H[where, columns] += border
+            H[columns, columns] += corner
+            rhs[where] += rhs_pose
+            rhs[columns] += rhs_shared
+        m = len(self.camera_information)
+        cameras = np.arange(n, n + m)
+        H[cameras, cameras] += self.camera_information
+        rhs[cameras] -= self.camera_information * self.shared_vector(state)[:m]
+        if self.block.sigma_level > 0:
+            H[-1, -1] += 1.0 / self.block.sigma_level**2
+            rhs[-1] -= state.level / self.block.sigma_level**2
+
+    def moved(self, state: State, step: Array, scale2: float, damping: float) -> State:
+        """State after a step of poses and shared unknowns, the points following; (N,)."""
+        n, G = len(state.origin), self.block.n_shared
+        pose, shared = step[: 6 * n].reshape(n, 6), np.ascontiguousarray(step[6 * n :])
+        points = np.zeros_like(state.points)
+        move_points(
+            self.observations(), self.values(state), self.place(state), self.span,
+            self.block.camera_of, (scale2, damping, state.level, G - 1),
+            (np.ascontiguousarray(pose), shared), points,
+        )  # fmt: skip
+        at = CAMERA_UNKNOWNS * len(state.cameras)
+        steps = shared[:at].reshape(-1, CAMERA_UNKNOWNS)
+        cameras = [moved_camera_vector(c, s) for c, s in zip(state.cameras, steps, strict=True)]
+        # The block as a whole turns far more easily than it bends, and along a circle.
+        whole: WholeMove = whole_move(state.origin, pose)
+        origin, points = whole.places(state.origin, pose[:, :3]), whole.places(state.points, points)
+        return replace(
+            state,
+            origin=origin,
+            rotation=exp_so3(pose[:, 3:] - whole.turn) @ exp_so3(whole.turn) @ state.rotation,
+            cameras=np.array(cameras),
+            points=points,
+            flights=state.flights + shared[at:-1].reshape(state.flights.shape),
+            level=state.level + float(shared[-1]),
+        )
