@@ -65,9 +65,11 @@ class LocalMap:
         """Enu m of (easting, northing, ellipsoidal height m); shape (..., 3)."""
         if self.coefficients is None:
             return self.frame.enu_from_map(p_map)
-        shape = p_map.shape
-        t = ((p_map - self.centre) / self.scale).reshape(-1, 3)
-        return np.asarray((_terms(t) @ self.coefficients).reshape(shape))
+        x, y, h = np.moveaxis((p_map - self.centre) / self.scale, -1, 0)
+        out = np.empty(p_map.shape)
+        for k, c in enumerate(self.coefficients.T):
+            out[..., k] = _cubic(c, x, y) + h * (c[10] + x * c[11] + y * c[12])
+        return out
 
 
 def _terms(t: Array) -> Array:
@@ -111,8 +113,14 @@ class PlanePolynomial:
 
     def __call__(self, xy: Array) -> Array:
         """Coordinates in the other map; shape (..., 2)."""
-        t = ((xy - self.centre) / self.scale).reshape(-1, 2)
-        return np.asarray((_plane_terms(t) @ self.coefficients).reshape(xy.shape))
+        x, y = np.moveaxis((xy - self.centre) / self.scale, -1, 0)
+        return np.stack([_cubic(c, x, y) for c in self.coefficients.T], axis=-1)
+
+
+def _cubic(c: Array, x: Array, y: Array) -> Array:
+    """Sum of the first ten coefficients times `_plane_terms`, by Horner's rule."""
+    by_y = c[2] + x * (c[4] + x * c[7]) + y * (c[5] + x * c[8] + y * c[9])
+    return np.asarray(c[0] + x * (c[1] + x * (c[3] + x * c[6])) + y * by_y)
 
 
 def _plane_terms(t: Array) -> Array:
@@ -137,7 +145,7 @@ class Ground:
     ) -> Ground:
         """Ground under a grid; `heights` is the range of ellipsoidal heights, m."""
         to_dem = None
-        if isinstance(terrain, DemTerrain) and frame.horizontal != terrain.frame.horizontal:
+        if isinstance(terrain, DemTerrain) and not terrain.lies_on(frame):
             to_dem = PlanePolynomial.between(frame, terrain, grid.bounds)
         local = LocalMap.fit(frame, grid.bounds, heights)
         return cls(local=local, terrain=terrain, to_dem=to_dem)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
-from georef_gis.geodesy import WGS84_A, WGS84_E2, MapFrame, Origin
+from georef_gis.geodesy import CRS, WGS84_A, WGS84_E2, MapFrame, Origin
 
 # m; bisection stops here
 HIT_TOLERANCE = 1e-4
@@ -45,7 +45,33 @@ class Terrain(Protocol):
         ...
 
 
-def _z_of_constant_height(origin: Origin, height: float, xy: Array) -> Array:
+class PlaneFrame(Protocol):
+    """A plane on which a raster of ellipsoidal heights lies: a map, or the project's own plane."""
+
+    @property
+    def origin(self) -> Origin:
+        """Origin of the project's enu."""
+        ...
+
+    @property
+    def horizontal(self) -> CRS | None:
+        """CRS of the plane; None where it has none."""
+        ...
+
+    def map_from_enu(self, p_enu: ArrayLike) -> Array:
+        """(x, y in the plane's units, ellipsoidal height m) of enu m; shape (..., 3)."""
+        ...
+
+    def map_from_geo(self, p_geo: ArrayLike) -> Array:
+        """The same of (lat, lon rad, ellipsoidal height m); shape (..., 3)."""
+        ...
+
+    def enu_from_map(self, p_map: ArrayLike) -> Array:
+        """Enu m of (x, y, ellipsoidal height m); shape (..., 3)."""
+        ...
+
+
+def z_of_constant_height(origin: Origin, height: float, xy: Array) -> Array:
     """Up coordinate of the surface of one ellipsoidal height, to < 0.1 mm within 20 km.
 
     Notes
@@ -86,7 +112,7 @@ class FlatTerrain:
     def z_at(self, xy_enu: ArrayLike) -> Array:
         """Up coordinate of the ground; (..., 2) m -> (...)."""
         xy = np.asarray(xy_enu, dtype=np.float64)
-        return _z_of_constant_height(self.origin, self.height_ellipsoidal, xy)
+        return z_of_constant_height(self.origin, self.height_ellipsoidal, xy)
 
     def height_on_map(self, frame: MapFrame, xy_map: ArrayLike) -> Array:
         """Ellipsoidal height, m, at places of a map: the one height; (..., 2) -> (...)."""
@@ -119,7 +145,7 @@ class DemTerrain:
     of the first cell in the CRS of `frame`, `cell` its (width, height) in CRS units.
     """
 
-    frame: MapFrame
+    frame: PlaneFrame
     heights: Array
     left: float
     top: float
@@ -133,6 +159,11 @@ class DemTerrain:
         """A cell, m: the surface has its kinks at the cell centres' lines."""
         return 2.0 * self.step
 
+    def lies_on(self, frame: MapFrame) -> bool:
+        """Whether the raster's plane is that of a map."""
+        own = self.frame.horizontal
+        return own is not None and bool(frame.horizontal == own)
+
     def position(self, xy_map: Array) -> Array:
         """(col, row), (0, 0) = centre of the first cell, of places of the DEM's map; (..., 2)."""
         return np.stack(
@@ -145,7 +176,7 @@ class DemTerrain:
 
     def position_on_map(self, frame: MapFrame, xy_map: Array) -> Array:
         """Like `position`, of places of any map; (..., 2) CRS units -> (..., 2)."""
-        if frame.horizontal == self.frame.horizontal:
+        if self.lies_on(frame):
             return self.position(xy_map)
         # Two projections of one ellipsoid: the place does not depend on the height used here.
         level = np.full((*xy_map.shape[:-1], 1), float(np.nanmean(self.heights)))
@@ -245,9 +276,13 @@ class DemTerrain:
             hit_near[i[below]], hit_far[i[below]] = t[i[below]], following[below]
             # Outside the raster (NaN) a ray goes on: it may enter from the side.
             done = below | (following >= far[i])
-            t[i] = following
+            t[i] = np.minimum(following + self._free_run(d[i], slant[i], c), far[i])
             open_rays[i[done]] = False
         return hit_near, hit_far
+
+    def _free_run(self, d: Array, slant: Array, clearance: Array) -> Array:
+        """How far rays can go on, m, before they may meet the ground; shape (n,)."""
+        return np.zeros_like(slant)
 
 
 def _largest(x: Array) -> float:
