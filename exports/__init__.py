@@ -6,9 +6,12 @@ Importing them is light: lxml, cv2, rasterio and pyogrio are loaded when somethi
 from typing import Any
 
 from exports.cog import Cog
+from exports.colmap import Colmap
 from exports.geojson import GeoJson
 from exports.geopackage import GeoPackage
 from exports.kml import Kml, Kmz
+from exports.opensfm import OpenSfm
+from exports.pose_tables import MetashapeCsv, Pix4dMapperCsv, Pix4dMaticCsv
 from exports.poses import OdmGeo, ReferenceCsv
 from exports.tagged_photos import TaggedPhotos
 from georef_gis.toolbox import Exporter
@@ -21,5 +24,10 @@ EXPORTERS: tuple[type[Exporter[Any]], ...] = (
     Cog,
     OdmGeo,
     ReferenceCsv,
+    MetashapeCsv,
+    Pix4dMapperCsv,
+    Pix4dMaticCsv,
+    OpenSfm,
+    Colmap,
     TaggedPhotos,
 )

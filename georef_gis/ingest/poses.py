@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from georef_gis.errors import InputError
-from georef_gis.geodesy import CRS, MapFrame, Origin, horizontal_crs
+from georef_gis.frames import Array
+from georef_gis.geodesy import CRS, Height, HeightKind, MapFrame, Origin, horizontal_crs
+from georef_gis.ingest.poses_blocks import Placing, block_format, read_block_poses
+from georef_gis.ingest.poses_columns import COLUMNS, METASHAPE, ODM, PIX4D, PIX4D_ACCURACIES
 from georef_gis.ingest.tables import (
     Lines,
     Row,
     height_of,
+    height_unit,
     parse_table_crs,
     read_lines,
     separator_of,
@@ -23,34 +27,12 @@ from georef_gis.ingest.tables import (
 from georef_gis.model.photo import AttitudeTag, Geotag
 from georef_gis.units import wrap_angle
 
-PoseFormat = Literal["auto", "odm", "metashape", "pix4d", "orthority"]
-FORMATS: tuple[PoseFormat, ...] = ("auto", "odm", "metashape", "pix4d", "orthority")
+PoseFormat = Literal["auto", "odm", "metashape", "pix4d", "orthority", "opensfm", "colmap"]
+FORMATS: tuple[PoseFormat, ...] = (
+    "auto", "odm", "metashape", "pix4d", "orthority", "opensfm", "colmap",
+)  # fmt: skip
 PoseOfFile = tuple[Geotag, AttitudeTag | None]
 
-# Headings of columns, letters and digits only -> meaning. "coordinate1" follows the CRS's axes.
-_COLUMNS = {
-    "label": "name", "name": "name", "imagename": "name", "image": "name", "filename": "name",
-    "photo": "name", "file": "name", "photoname": "name",
-    "x": "x", "xeast": "x", "xeasting": "x", "easting": "x", "east": "x",
-    "y": "y", "ynorth": "y", "ynorthing": "y", "northing": "y", "north": "y",
-    "xlongitude": "lon", "longitude": "lon", "lon": "lon", "long": "lon",
-    "ylatitude": "lat", "latitude": "lat", "lat": "lat",
-    "coordinate1": "first", "coordinate2": "second",
-    "z": "z", "zaltitude": "z", "altitude": "z", "alt": "z", "height": "z", "elevation": "z",
-    "yaw": "yaw", "heading": "yaw", "pitch": "pitch", "roll": "roll",
-    "yawdeg": "yaw", "pitchdeg": "pitch", "rolldeg": "roll",
-    "omega": "omega", "phi": "phi", "kappa": "kappa",
-    "omegadeg": "omega", "phideg": "phi", "kappadeg": "kappa",
-    "accuracyhorz": "acc_h", "acch": "acc_h", "hacc": "acc_h", "accuracyxym": "acc_h",
-    "horizontalaccuracy": "acc_h", "accuracyh": "acc_h", "sigmahm": "acc_h",
-    "accuracyvert": "acc_v", "accv": "acc_v", "vacc": "acc_v", "accuracyzm": "acc_v",
-    "verticalaccuracy": "acc_v", "accuracyv": "acc_v", "sigmavm": "acc_v",
-}  # fmt: skip
-# Columns of files without a header, by format; 'first' and 'second' follow the CRS's axes.
-_ODM = ("name", "x", "y", "z", "yaw", "pitch", "roll", "acc_h", "acc_v")
-_METASHAPE = ("name", "x", "y", "z", "yaw", "pitch", "roll")
-_PIX4D = ("name", "first", "second", "z", "yaw", "pitch", "roll", "acc_h", "acc_v")
-_PIX4D_ACCURACIES = ("name", "first", "second", "z", "acc_h", "acc_v")
 _GROUPS = (("yaw", "pitch", "roll"), ("omega", "phi", "kappa"))
 # rows; fewer say nothing about their unit
 _ENOUGH_ROWS = 4
@@ -72,13 +54,15 @@ def read_poses(
     crs: str | None = None,
     angle_unit: Literal["degrees", "radians"] = "degrees",
     near: tuple[float, float] | None = None,
+    placing: Placing | None = None,
 ) -> dict[str, PoseOfFile]:
     """Positions and, where given, angles by photo name as the file writes it.
 
     Parameters
     ----------
     path
-        ODM geo.txt, or reference CSV of Metashape, Pix4D or orthority.
+        ODM geo.txt, or reference CSV of Metashape, Pix4D or orthority; OpenSfM's
+        reconstruction.json; images.txt or the folder of a COLMAP text model.
     format
         Its format; "auto" tells by the first lines.
     crs
@@ -87,6 +71,8 @@ def read_poses(
         Unit of the angles.
     near : (lat, lon), rad
         Where the photos are by their own tags: finds swapped coordinates and wrong units.
+    placing
+        Puts a block of OpenSfM or COLMAP that lies nowhere on the Earth, by the photos' tags.
 
     Returns
     -------
@@ -102,8 +88,17 @@ def read_poses(
         raise InputError(
             f"'{format}' is not known; use one of {', '.join(FORMATS)}", field="[poses] format"
         )
-    table = _table(read_lines(path), format)
+    block = block_format(path, format)
+    if block is not None:
+        found = read_block_poses(
+            path, block, placing=placing, read_positions=lambda file: _positions(file, near)
+        )
+        return dict(found)
+    lines = read_lines(path)
+    table = _table(lines, format)
     used = parse_table_crs(table.crs_text or crs or "EPSG:4326", f"{path}, crs")
+    unit = height_unit(lines, used)
+    unit_of_sigmas = _accuracy_unit(lines, used)
     _check_angle_unit(table.rows, angle_unit)
     to_geo = _geo_of(used, near, table)
     out: dict[str, PoseOfFile] = {}
@@ -123,13 +118,38 @@ def read_poses(
         geotag = Geotag(
             lat=lat,
             lon=lon,
-            height=height_of(row.number("z", "z"), used),
-            sigma_h=_sigma(row, "acc_h"),
-            sigma_v=_sigma(row, "acc_v"),
+            height=_height(row.number("z", "z"), used, lines, unit),
+            sigma_h=_sigma(row, "acc_h", unit_of_sigmas),
+            sigma_v=_sigma(row, "acc_v", unit_of_sigmas),
             source=path.name,
         )
         out[name] = geotag, _attitude(row, angle_unit)
     return out
+
+
+def _positions(path: Path, near: tuple[float, float] | None) -> dict[str, Geotag]:
+    """Positions of ODM's geo.txt by name."""
+    return {name: tag for name, (tag, _) in read_poses(path, format="odm", near=near).items()}
+
+
+def _accuracy_unit(lines: Lines, crs: CRS) -> float:
+    """Length of the unit of accuracies, m, by a line such as `# accuracy_unit: US survey foot`."""
+    value = lines.header.get("accuracy_unit", "")
+    return height_unit(replace(lines, header={"height_unit": value}), crs)
+
+
+def _height(value: float | None, crs: CRS, lines: Lines, unit: float) -> Height | None:
+    """Height by the vertical part of the CRS, else by what a line such as `# heights: ...` says."""
+    height = height_of(value, crs)
+    if height is None or height.kind is not HeightKind.UNKNOWN:
+        return height
+    words = lines.header.get("heights", "").lower()
+    kind = HeightKind.UNKNOWN
+    if words.startswith("ellipsoidal"):
+        kind = HeightKind.ELLIPSOIDAL
+    elif words.startswith("orthometric (egm96)"):
+        kind = HeightKind.ORTHOMETRIC
+    return replace(height, value=height.value * unit, kind=kind)
 
 
 def match_poses(
@@ -173,9 +193,9 @@ def _table(lines: Lines, format: PoseFormat) -> _Table:
     """Rows with their columns, the CRS the file names, and its format."""
     first = lines.lines[0][1]
     if format == "odm" or (format == "auto" and _is_odm(first)):
-        rows = _rows(lines.path, lines.lines[1:], _ODM, "")
+        rows = _rows(lines.path, lines.lines[1:], ODM, "")
         return _Table(rows=rows, crs_text=first.lstrip("# "), format="odm")
-    crs_text = lines.header.get("coordinatesystem") or lines.header.get("crs")
+    crs_text = lines.header.get("coordinatesystem") or lines.header.get("crs") or _own_crs(lines)
     header = next((i for i, (_, line) in enumerate(lines.lines) if _is_header(line)), None)
     if header is not None:
         line = lines.lines[header][1]
@@ -192,11 +212,17 @@ def _table(lines: Lines, format: PoseFormat) -> _Table:
         raise InputError("has no rows", source=str(lines.path))
     separator = separator_of(data[0][1])
     columns = len(split(data[0][1], separator))
-    names = _PIX4D_ACCURACIES if columns == 6 else _PIX4D
+    names = PIX4D_ACCURACIES if columns == 6 else PIX4D
     if format == "metashape":
-        names = _METASHAPE
+        names = METASHAPE
     kind = "pix4d" if format == "auto" else format
     return _Table(rows=_rows(lines.path, data, names, separator), crs_text=crs_text, format=kind)
+
+
+def _own_crs(lines: Lines) -> str | None:
+    """CRS in the first line of our own poses.csv: `# CRS EPSG:6549 (name); x east ...`."""
+    found = re.match(r"#\s*CRS\s+([A-Z]+:\d+)\b", lines.lines[0][1])
+    return found[1] if found else None
 
 
 def _is_odm(first: str) -> bool:
@@ -213,7 +239,7 @@ def _is_header(line: str) -> bool:
 
 def _role(heading: str) -> str:
     key = re.sub(r"\[[^\]]*\]|[^a-z0-9]", "", heading.lower())
-    return _COLUMNS.get(key, heading.lower())
+    return COLUMNS.get(key, heading.lower())
 
 
 def _rows(
@@ -249,8 +275,13 @@ def _geo_of(
         north_first = plain.axis_info[0].direction.lower() == "north"
 
         def from_map(row: Row) -> tuple[float, float]:
-            x, y = _xy(row, north_first=north_first and table.format == "pix4d")
+            order = north_first and (table.format == "pix4d" or "first" in row.columns)
+            x, y = _xy(row, north_first=order)
             geo = frame.geo_from_map([x, y, 0.0])
+            if order and near is not None and not _is_close(geo, near):
+                # PIX4Dmatic follows the axes of the CRS, PIX4Dmapper writes x, y in any.
+                other = frame.geo_from_map([y, x, 0.0])
+                geo = other if _is_close(other, near) else geo
             if not all(math.isfinite(v) for v in geo):
                 raise InputError(
                     f"{x:g}, {y:g} lies outside of '{plain.name}'; check the CRS and the order "
@@ -308,6 +339,11 @@ def _check_degrees(row: Row, lat: float, lon: float, near: tuple[float, float] |
         )
 
 
+def _is_close(geo: Array, near: tuple[float, float]) -> bool:
+    place = float(geo[0]), float(geo[1])
+    return all(math.isfinite(v) for v in place) and _close(place, near)
+
+
 def _close(a: tuple[float, float], b: tuple[float, float]) -> bool:
     return abs(a[0] - b[0]) < _FAR and abs(wrap_angle(a[1] - b[1])) * math.cos(b[0]) < _FAR
 
@@ -329,11 +365,27 @@ def _attitude(row: Row, unit: str) -> AttitudeTag | None:
     if dialect == "opk":
         if a is None or b is None or c is None:
             return None
-        return AttitudeTag(dialect="opk", roll=a, pitch=b, yaw=wrap_angle(c))
+        sigmas = _angle_sigmas(row, scale, ("acc_omega", "acc_phi", "acc_kappa"))
+        return AttitudeTag(
+            dialect="opk", roll=a, pitch=b, yaw=wrap_angle(c),
+            sigma_roll_pitch=sigmas[0], sigma_yaw=sigmas[1],
+        )  # fmt: skip
     if b is None or c is None:
         return None
     yaw = None if a is None else wrap_angle(a)
-    return AttitudeTag(dialect="ypr", roll=c, pitch=b, yaw=yaw)
+    sigmas = _angle_sigmas(row, scale, ("acc_roll", "acc_pitch", "acc_yaw"))
+    return AttitudeTag(
+        dialect="ypr", roll=c, pitch=b, yaw=yaw, sigma_roll_pitch=sigmas[0], sigma_yaw=sigmas[1]
+    )
+
+
+def _angle_sigmas(
+    row: Row, scale: float, columns: tuple[str, str, str]
+) -> tuple[float | None, float | None]:
+    """Sigma of the first two angles, root mean square, and of the third, rad; None = not told."""
+    a, b, c = (_sigma(row, column) for column in columns)
+    tilt = None if a is None or b is None else math.sqrt((a * a + b * b) / 2.0) * scale
+    return tilt, None if c is None else c * scale
 
 
 def _check_angle_unit(rows: tuple[Row, ...], unit: str) -> None:
@@ -364,12 +416,14 @@ def _check_angle_unit(rows: tuple[Row, ...], unit: str) -> None:
             )
 
 
-def _sigma(row: Row, column: str) -> float | None:
+def _sigma(row: Row, column: str, unit: float = 1.0) -> float | None:
+    """One standard deviation in a column, times the length of its unit; None = not told."""
     value = row.number(column, column) if column in row.columns else None
     if value is not None and value < 0.0:
         raise InputError(
-            f"{value:g} m is negative; give one standard deviation",
+            f"{value:g} {'m' if column in ('acc_h', 'acc_v') else 'deg'} is negative; give one "
+            "standard deviation",
             source=row.source,
             field=column,
         )
-    return value or None
+    return value * unit if value else None

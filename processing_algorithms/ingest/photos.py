@@ -13,6 +13,7 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     from georef_gis.geodesy import MapFrame
     from georef_gis.model.camera import Camera
+    from georef_gis.model.interchange.block import Block
     from georef_gis.model.photo import Photo
     from georef_gis.project import Project
 
@@ -85,16 +86,26 @@ def _with_pose_file(project: Project, photos: list[Photo]) -> tuple[list[Photo],
         return photos, []
     from georef_gis.ingest.poses import match_poses, read_poses
 
+    doubts: list[str] = []
+
+    def placing(block: Block) -> Block:
+        """Lay a block of another program on the positions of the tags."""
+        from georef_gis.orient.placing import place_block
+
+        placed = place_block(block, photos)
+        doubts.extend(placed.doubts)
+        return placed.block
+
     tags = sorted((t.lat, t.lon) for photo in photos if (t := photo.geotag) is not None)
     poses = read_poses(
         project.path(settings.file),
         format=settings.format,
         crs=settings.crs,
         near=tags[len(tags) // 2] if tags else None,
+        placing=placing,
     )
     names = Counter(photo.path.name for photo in photos)
     found, unknown = match_poses(poses, [name for name, count in names.items() if count == 1])
-    doubts = []
     if len(found) < len(photos) or unknown:
         doubts.append(
             f"{settings.file}: has poses of {len(found)} of {len(photos)} photos"
