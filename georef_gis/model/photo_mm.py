@@ -111,6 +111,97 @@ def camera_from_mm(camera_id: str, calibration: InteriorOrientationMm) -> Camera
     )
 
 
+def mm_from_camera(camera: Camera, sensor_mm: tuple[float, float]) -> InteriorOrientationMm:
+    """Calibration in mm of a camera: fitted from measured to ideal over the whole sensor.
+
+    Parameters
+    ----------
+    camera
+        Of a model with a plane (`brown`, `brown_inverse`).
+    sensor_mm
+        Width and height of the part of the sensor that the image shows, mm.
+
+    Raises
+    ------
+    InputError
+        If the camera is a fisheye, sees no ray in a part of the sensor, or no calibration in mm
+        comes within `FIT_TOLERANCE` of it.
+
+    Notes
+    -----
+    Least squares by Gauss-Newton: the offset of the principal point is not linear.
+    """
+    source = f"camera {camera.id}"
+    if camera.model not in ("brown", "brown_inverse"):
+        raise InputError(
+            f"a {camera.model} lens has no calibration in mm of this form; keep it in pixels",
+            source=source,
+            field="model",
+        )
+    start = _as_mm(camera, sensor_mm)
+    uv = _sensor_places(start)
+    rays = camera.ray(uv)
+    if not np.all(np.isfinite(rays)):
+        raise InputError(
+            "its distortion turns back within the image; check k1, k2, k3",
+            source=source,
+            field="k1",
+        )
+    ideal = rays[:, :2] / rays[:, 2:]
+    fitted = _fit_mm(start, uv, ideal)
+    # px of the photo, at the scale of the middle
+    off = (fitted.ideal_normalised(uv) - ideal) * [camera.fx, camera.fy]
+    error = float(np.hypot(*off.T).max())
+    if not error <= FIT_TOLERANCE:
+        raise InputError(
+            f"the nearest calibration in mm is off by {error:.2f} px; keep the camera in pixels",
+            source=source,
+            field="k1",
+        )
+    return fitted
+
+
+_MM_NAMES = ("c", "xp", "yp", "K1", "K2", "K3", "P1", "P2", "B1", "B2")
+
+
+def _as_mm(camera: Camera, sensor_mm: tuple[float, float]) -> InteriorOrientationMm:
+    """Calibration without distortion: where the fit starts."""
+    pitch_u, pitch_v = sensor_mm[0] / camera.width, sensor_mm[1] / camera.height
+    return InteriorOrientationMm(
+        width=camera.width,
+        height=camera.height,
+        sensor_mm=sensor_mm,
+        c=camera.fy * pitch_v,
+        xp=(camera.cx - (camera.width - 1) / 2.0) * pitch_u,
+        yp=-(camera.cy - (camera.height - 1) / 2.0) * pitch_v,
+    )
+
+
+def _fit_mm(start: InteriorOrientationMm, uv: Array, ideal: Array) -> InteriorOrientationMm:
+    radius = float(np.hypot(*start.sensor_mm)) / 2.0
+    # One step of each parameter moves the corner by about as much.
+    size = np.array([1, 1, 1, *(radius ** -np.array([2.0, 4.0, 6.0, 1.0, 1.0])), 1, 1])
+    x = np.array([getattr(start, name) for name in _MM_NAMES]) / size
+
+    def calibration(values: Array) -> InteriorOrientationMm:
+        named = dict(zip(_MM_NAMES, (float(v) for v in values * size), strict=True))
+        return replace(start, **named)  # type: ignore[arg-type]
+
+    def off(values: Array) -> Array:
+        return np.asarray((calibration(values).ideal_normalised(uv) - ideal).ravel())
+
+    for _ in range(30):
+        h = 1e-6
+        J = np.column_stack([(off(x + d) - off(x - d)) / (2 * h) for d in h * np.eye(len(x))])
+        step = np.linalg.lstsq(J, -off(x), rcond=None)[0]
+        x = x + step
+        if x[0] <= 0:
+            break
+        if float(np.abs(step).max()) < 1e-12 * radius:
+            break
+    return calibration(np.where(x > 0, x, 1e-3) if x[0] <= 0 else x)
+
+
 def _sensor_places(calibration: InteriorOrientationMm) -> Array:
     u, v = np.meshgrid(
         np.linspace(-0.5, calibration.width - 0.5, NODES),
