@@ -4,6 +4,8 @@ from processing_algorithms.ingest.check import Check
 from processing_algorithms.ingest.init import Init
 from processing_algorithms.ingest.photos import ReadPhotos
 from processing_algorithms.ingest.sync_board import SYNC_BOARD_TOOLS
+from processing_algorithms.measure.accuracy import Accuracy
+from processing_algorithms.measure.accuracy_table import AccuracyTable
 from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.mosaic.mosaic import MosaicTool
@@ -11,7 +13,12 @@ from processing_algorithms.navigate.compare_trajectory import CompareTrajectory
 from processing_algorithms.navigate.navigate import Navigate
 from processing_algorithms.navigate.orient import OrientNavigation
 from processing_algorithms.navigate.ppk import Ppk
+from processing_algorithms.orient.adjust import Adjust
+from processing_algorithms.orient.calibrate_camera import CalibrateCamera
+from processing_algorithms.orient.calibrate_mount import CalibrateMount
 from processing_algorithms.orient.direct import OrientDirect
+from processing_algorithms.orient.match import Match
+from processing_algorithms.orient.undistort import Undistort
 from processing_algorithms.rectify.footprints import Footprints
 from processing_algorithms.rectify.orthos import Orthos
 from processing_algorithms.simulate import Simulate
@@ -25,11 +32,18 @@ ALGORITHMS = (
     Ppk,
     Navigate,
     OrientDirect,
+    CalibrateCamera,
+    CalibrateMount,
+    Undistort,
     OrientNavigation,
     CompareTrajectory,
+    Match,
+    Adjust,
     Footprints,
     Orthos,
     MosaicTool,
     ControlPoints,
+    Accuracy,
+    AccuracyTable,
     MeasurePhoto,
 )

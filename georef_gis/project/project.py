@@ -103,6 +103,11 @@ class Project:
         """Folder of trajectories."""
         return self.folder / "navigation"
 
+    @property
+    def adjustment(self) -> Path:
+        """Tie points, and what the adjustment left: points, residuals, covariances, ground."""
+        return self.folder / "adjustment"
+
     @cached_property
     def database(self) -> Database:
         """Database of the project, made on first use unless it is read-only."""

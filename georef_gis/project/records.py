@@ -199,7 +199,7 @@ def camera_row(camera: Camera, *, name: str = "") -> Row:
 
 def camera_of(row: Mapping[str, Any]) -> Camera:
     """Camera of a row of table `camera`."""
-    extra = dict(row["extra"] or {})
+    extra = {k: v for k, v in (row["extra"] or {}).items() if k in _CAMERA_EXTRA}
     return Camera(
         id=row["camera_id"],
         width=row["width"],

@@ -75,6 +75,8 @@ class Algorithm(ABC, Generic[P]):
         device; empty = the id.
     needs, gives
         Names of project tables and products, from which `georef run` finds the order.
+    wants
+        Names that it takes into account where they are there, and runs after.
     in_run
         Whether `georef run` includes the tool; then it also is skipped while unchanged.
     in_quick
@@ -83,6 +85,11 @@ class Algorithm(ABC, Generic[P]):
         Whether its result depends on `Context.quick`.
     uses_settings
         Sections of project.toml it reads; None = all. A change in them makes it stale.
+    refines
+        Whether it betters, at some cost, what there is already.
+    first_answer
+        Whether it runs before the first step that refines, if it never ran, and again after it:
+        then there is something to look at within seconds.
     needs_project
         Whether it works on a project.
     version
@@ -96,11 +103,14 @@ class Algorithm(ABC, Generic[P]):
     Parameters: ClassVar[type[Parameters]] = Parameters
     outputs: ClassVar[tuple[Output, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()
+    wants: ClassVar[tuple[str, ...]] = ()
     gives: ClassVar[tuple[str, ...]] = ()
     in_run: ClassVar[bool] = False
     in_quick: ClassVar[bool] = True
     uses_quick: ClassVar[bool] = False
     uses_settings: ClassVar[tuple[str, ...] | None] = None
+    refines: ClassVar[bool] = False
+    first_answer: ClassVar[bool] = False
     needs_project: ClassVar[bool] = True
     version: ClassVar[str] = "1"
 

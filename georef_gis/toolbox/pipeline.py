@@ -40,7 +40,7 @@ def upstream_tools(registry: Registry, tool: Tool) -> dict[str, list[Tool]]:
             for other in registry
             if other.algorithm.in_run and need in other.algorithm.gives and other is not tool
         ]
-        for need in tool.algorithm.needs
+        for need in (*tool.algorithm.needs, *tool.algorithm.wants)
     }
 
 
@@ -58,7 +58,7 @@ def in_order(tools: Sequence[Tool]) -> list[Tool]:
 
 
 def _waits(tool: Tool, left: Sequence[Tool]) -> bool:
-    needs = set(tool.algorithm.needs)
+    needs = {*tool.algorithm.needs, *tool.algorithm.wants}
     return any(other is not tool and needs & set(other.algorithm.gives) for other in left)
 
 

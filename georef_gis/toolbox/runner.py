@@ -173,6 +173,8 @@ def run_pipeline(
     with project_lock(project.folder):
         run = _Run(registry, project, feedback, options)
         for number, (tool, own) in enumerate(zip(steps, parameters, strict=True)):
+            if tool.algorithm.refines and not options.only:
+                run.first_answer(steps[number:], parameters[number:])
             run.place(number, len(steps))
             force = options.force or tool.full_id == forced
             reports.append(run.step(tool, own, forced=force))
@@ -263,6 +265,18 @@ class _Run:
         """Say which part of the whole the next step is."""
         self.feedback = replace(self.feedback, first=number / count, share=1.0 / count, warnings=[])
 
+    def first_answer(self, steps: Sequence[Tool], parameters: Sequence[Parameters]) -> None:
+        """Run what gives a first answer and never ran, before it is made better."""
+        waiting = [
+            (tool, own)
+            for tool, own in zip(steps, parameters, strict=True)
+            if tool.algorithm.first_answer and tool.full_id not in self.last
+        ]
+        for tool, own in waiting:
+            report = self.step(tool, own, forced=False)
+            for product in report.result.summary.get("products", ()):
+                self.feedback.info(f"first answer: {product}")
+
     def step(self, tool: Tool, parameters: Parameters, *, forced: bool) -> StepReport:
         """Run a step, or find that its last run still holds."""
         check_cancelled(self.feedback)
@@ -296,7 +310,7 @@ class _Run:
                 for giver in givers
                 if self.last.get(giver.full_id, {}).get("outcome") == DONE
             }
-            if givers and not done:
+            if givers and not done and need in tool.algorithm.needs:
                 names = " or ".join(giver.id for giver in givers)
                 raise InputError(
                     f"needs {need}, which {names} gives and which is not there yet; run "

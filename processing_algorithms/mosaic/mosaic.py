@@ -49,6 +49,7 @@ class MosaicTool(Algorithm[MosaicParameters]):
     outputs = (Output(name="mosaic", title="Mosaic", type="RasterLayer"),)
     needs, gives = ("footprints",), ("mosaic",)
     in_run = True
+    first_answer = True
     uses_quick = True
     uses_settings = ("products", "ground")
 

@@ -17,7 +17,8 @@ class Footprints(Algorithm[p.Parameters]):
 
     id, name, group = "footprints", "Footprints and overlap", "rectify"
     outputs = (Output(name="overlap", title="Overlap map", type="RasterLayer"),)
-    needs, gives = ("poses",), ("footprints",)
+    needs, wants, gives = ("poses",), ("adjusted",), ("footprints",)
+    first_answer = True
     in_run = True
     uses_quick = True
     uses_settings = ("ground",)

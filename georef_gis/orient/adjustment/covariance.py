@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpocon
 
 from georef_gis.frames import Array
 from georef_gis.orient.adjustment.kernels import point_covariances, point_rows
@@ -61,6 +62,13 @@ class Covariances:
             full[held], full[:, held] = 0.0, 0.0
             self._inverse = full
         return self._inverse
+
+    def condition(self) -> float:
+        """Condition of the normal matrix with unit diagonal (LAPACK's estimate, 1-norm)."""
+        lower = np.tril(self._factor[0])
+        norm = float(np.abs(lower @ lower.T).sum(axis=0).max())
+        reciprocal, _ = dpocon(self._factor[0], norm, uplo="L")
+        return float(1.0 / max(reciprocal, 1e-300))
 
     # -- rows of what is asked for -------------------------------------------------------------
 

@@ -15,8 +15,8 @@ from georef_gis.orient.adjustment.problem import Problem, State
 # of a residual's sigma, where Cauchy's loss begins to bend in the end
 FINAL_SCALE = 3.0
 MOST_STEPS = 60
-# of the cost; a step that gains less ends the search
-GAIN = 1e-7
+# of the cost, which counts half squared sigmas: a step that gains less ends the search
+GAIN = 0.003
 SMALLEST_DAMPING = 1e-14
 
 Cancelled = Callable[[], bool]
@@ -54,6 +54,7 @@ def solve(
     robust: bool = True,
     scale: float | None = None,
     steps: int = MOST_STEPS,
+    gain: float = GAIN,
     cancelled: Cancelled | None = None,
 ) -> Solution:
     """Minimise the cost from a state.
@@ -64,6 +65,8 @@ def solve(
         Without, squares are minimised: for observations that are known to be clean.
     scale
         Where the loss begins; by default from the residuals of the start, and tightened.
+    gain
+        Of the cost, below which a step ends the search.
 
     Raises
     ------
@@ -83,18 +86,18 @@ def solve(
         if not new < cost:
             rejected += 1
             damping = max(damping, 1e-9) * 8.0
-            if damping > 1e8 or (rejected > 3 and abs(new - cost) <= GAIN * cost):
+            if damping > 1e8 or (rejected > 3 and abs(new - cost) <= gain):
                 if scale <= FINAL_SCALE:
                     return Solution(state=state, cost=cost, scale=scale, steps=step, converged=True)
                 scale = _tightened(problem, state, scale)
                 cost, damping, rejected = _cost(problem, state, scale), 1e-7, 0
             continue
-        gained, state, cost, rejected = (cost - new) / max(cost, 1e-12), moved, new, 0
+        gained, state, cost, rejected = cost - new, moved, new, 0
         damping = max(damping / 50.0, SMALLEST_DAMPING)
-        if scale > FINAL_SCALE and gained < 0.3:
+        if scale > FINAL_SCALE and gained < 0.3 * (cost + gained):
             scale = _tightened(problem, state, scale)
             cost = _cost(problem, state, scale)
-        elif gained < GAIN and scale <= FINAL_SCALE:
+        elif gained < gain and scale <= FINAL_SCALE:
             return Solution(state=state, cost=cost, scale=scale, steps=step, converged=True)
     return Solution(state=state, cost=cost, scale=scale, steps=steps, converged=False)
 

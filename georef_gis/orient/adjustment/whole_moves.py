@@ -11,7 +11,7 @@ from georef_gis.frames import Array, exp_so3, skew
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WholeMove:
-    """A similarity about `centre`: turn (rotation vector, rad), growth (log of scale), shift (m)."""
+    """A similarity about `centre`: turn (rotation vector, rad), log of scale, shift (m)."""
 
     centre: Array
     turn: Array
@@ -51,5 +51,5 @@ def whole_move(origin: Array, step: Array) -> WholeMove:
     A[:, 3:, 3:6] = extent * np.eye(3)
     b = step.copy()
     b[:, 3:] *= extent
-    x = np.linalg.lstsq(A.reshape(-1, 7), b.ravel(), rcond=1e-9)[0]
+    x: Array = np.asarray(np.linalg.lstsq(A.reshape(-1, 7), b.ravel(), rcond=1e-9)[0])
     return WholeMove(centre=centre, turn=x[3:6], growth=float(x[6]), shift=x[:3])

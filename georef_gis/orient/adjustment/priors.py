@@ -1,0 +1,212 @@
+"""What is known before an adjustment: of cameras, and of the poses of a flight by tags or logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.frames import R_BODY_FROM_CAM_NADIR, Array
+from georef_gis.model.camera import Camera
+from georef_gis.model.photo import OrientedPhoto, Photo
+from georef_gis.model.trajectory import StateChain
+from georef_gis.orient.adjustment.block import CameraPrior, FlightPrior
+
+# How errors of tags hang together, as shares of their variance: the same over the flight, slow,
+# and each photo's own. A consumer receiver's error is mostly slow (2012 paper: minutes); angles of
+# an autopilot have a constant part, the mount, and crab is the same along a line.
+POSITION_SHARES = (0.3, 0.55, 0.15)
+TILT_SHARES = (0.4, 0.3, 0.3)
+YAW_SHARES = (0.15, 0.65, 0.2)
+# s, correlation times of the slow parts
+TAU_POSITION, TAU_ATTITUDE = 100.0, 40.0
+# m and s, one sigma where nothing is stated: antenna beside the camera, position older than photo
+SIGMA_LEVER, SIGMA_TAG_CLOCK = 0.1, 0.3
+# s; between photos whose clocks tell nothing
+USUAL_INTERVAL = 3.0
+# s, one sigma of the shared part of the exposure times that a log's events give
+SIGMA_EVENT_CLOCK = 0.01
+# of the width, one sigma of a principal point nobody stated
+SIGMA_CENTRE_SHARE = 0.005
+SIGMA_FOCAL_SHARE = 0.03
+# k1 k2 k3 p1 p2 of a lens nobody calibrated, and of one that is stated
+SIGMA_DISTORTION = (0.05, 0.05, 0.02, 1e-3, 1e-3)
+SIGMA_STATED = (0.01, 0.01, 0.01, 3e-4, 3e-4)
+# of the focal length, one sigma of affinity and skew: sensors are square to this
+SIGMA_AFFINITY = 2e-4
+# s, one sigma of a readout time that nobody stated, and the share of a stated one
+SIGMA_READOUT, SIGMA_READOUT_SHARE = 0.015, 0.15
+
+
+def camera_prior(camera: Camera, *, calibrate: bool = True, moving: bool = True) -> CameraPrior:
+    """How far each parameter of a camera may lie off.
+
+    Parameters
+    ----------
+    calibrate
+        Without, all are held.
+    moving
+        Whether velocities are known; without them a readout time means nothing.
+    """
+    sigma = np.zeros(11)
+    if calibrate:
+        sigma[0] = camera.sigma_f or SIGMA_FOCAL_SHARE * camera.fx
+        sigma[1:3] = camera.sigma_c or SIGMA_CENTRE_SHARE * camera.width
+        stated = any((camera.k1, camera.k2, camera.k3, camera.p1, camera.p2))
+        sigma[3:8] = SIGMA_STATED if stated else SIGMA_DISTORTION
+        sigma[8:10] = SIGMA_AFFINITY * camera.fx
+        if moving:
+            sigma[10] = max(SIGMA_READOUT_SHARE * camera.readout_s, SIGMA_READOUT * (not stated))
+    return CameraPrior(camera=camera, sigma=sigma)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountPrior:
+    """One sigma of what is known of the mount, where it is stated: m and rad."""
+
+    sigma_lever: float = SIGMA_LEVER
+    sigma_boresight: float | None = None
+    sigma_clock: float = SIGMA_TAG_CLOCK
+
+
+def times_of(photos: Sequence[Photo]) -> Array:
+    """When photos were taken, s from the first; by their order where clocks tell nothing."""
+    if all(photo.time_gps is not None for photo in photos):
+        t = np.array([photo.time_gps for photo in photos], dtype=np.float64)
+    elif all(photo.camera_clock is not None for photo in photos):
+        clocks = [photo.camera_clock for photo in photos]
+        first = min(c for c in clocks if c is not None)
+        t = np.array([(c - first).total_seconds() for c in clocks if c is not None])
+    else:
+        t = np.asarray(USUAL_INTERVAL * np.arange(len(photos)))
+    return np.asarray(t - t.min()) if len(t) else t
+
+
+def velocities_of(photos: Sequence[Photo], origin: Array, times: Array) -> Array:
+    """Velocities, m/s in enu: as tagged, or by the neighbours' places; zero where unknown; (n, 3).
+
+    A turn between lines gives a wrong value: neighbours count only if both legs agree.
+    """
+    out = np.zeros((len(photos), 3))
+    order = np.argsort(times, kind="stable")
+    p, t = origin[order], times[order]
+    for k, i in enumerate(int(i) for i in order):
+        photo = photos[i]
+        if photo.ground_speed is not None and photo.course is not None:
+            level = np.array([np.sin(photo.course), np.cos(photo.course), 0.0])
+            out[i] = photo.ground_speed * level
+            continue
+        legs = [
+            (p[b] - p[a]) / (t[b] - t[a])
+            for a, b in ((k - 1, k), (k, k + 1))
+            if a >= 0 and b < len(t) and t[b] - t[a] > 0.2
+        ]
+        if len(legs) == 2 and np.linalg.norm(legs[0] - legs[1]) > 0.5 * np.linalg.norm(legs[0]):
+            continue
+        if legs:
+            out[i] = np.asarray(np.mean(legs, axis=0))
+            out[i, 2] = 0.0
+    return out
+
+
+def tag_prior(
+    id: str,
+    photos: Sequence[OrientedPhoto],
+    indices: NDArray[np.int64],
+    mount: MountPrior | None = None,
+) -> FlightPrior:
+    """Joint prior of photos whose poses come from tags.
+
+    The pose's own covariance says how large errors are; the shares above say how they hang
+    together.
+
+    Parameters
+    ----------
+    photos
+        Of the flight, in camera axes of the sensor (not turned by an editor).
+    indices : shape (n,)
+        Their indices in the block.
+    """
+    mount = mount or MountPrior()
+    n = len(photos)
+    times = times_of([p.photo for p in photos])
+    R_eb = np.array([p.pose.R_enu_from_cam @ R_BODY_FROM_CAM_NADIR.T for p in photos])
+    covariance = np.array([p.pose.covariance for p in photos])
+    T = np.zeros((n, 6, 6))
+    T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), R_eb
+    local = np.swapaxes(T, 1, 2) @ covariance @ T
+    sigma = np.sqrt(np.einsum("aii->ai", local))
+    shares = np.array([POSITION_SHARES] * 3 + [TILT_SHARES] * 2 + [YAW_SHARES])
+    lag = np.abs(times[:, None] - times)
+    tau = np.array([TAU_POSITION] * 3 + [TAU_ATTITUDE] * 3)
+    joint = np.zeros((n, 6, n, 6))
+    for c in range(6):
+        slow = shares[c, 1] * np.exp(-lag / tau[c])
+        joint[:, c, :, c] = np.outer(sigma[:, c], sigma[:, c]) * (slow + shares[c, 2] * np.eye(n))
+    joint = np.einsum("aij,ajbk,blk->aibl", T, joint, T).reshape(6 * n, 6 * n)
+    white = np.einsum("aij,aj,akj->aik", T, shares[:, 2] * sigma**2, T)
+    origin = np.array([p.pose.origin_enu for p in photos])
+    velocity = velocities_of([p.photo for p in photos], origin, times)
+    typical = np.sqrt(np.median(sigma**2, axis=0) * shares[:, 0])
+    boresight = mount.sigma_boresight
+    clock = mount.sigma_clock if np.any(velocity) else 0.0
+    shared = np.concatenate([
+        np.full(3, mount.sigma_lever), typical[3:] if boresight is None else np.full(3, boresight),
+        typical[:3], [clock],
+    ])  # fmt: skip
+    return FlightPrior(
+        id=id,
+        photos=indices,
+        covariance=(joint + joint.T) / 2,
+        white=white,
+        R_enu_from_body=R_eb,
+        velocity_enu=velocity,
+        rate_enu=np.zeros((n, 3)),
+        shared_covariance=np.diag(shared**2),
+    )
+
+
+def navigation_prior(
+    id: str,
+    photos: Sequence[OrientedPhoto],
+    indices: NDArray[np.int64],
+    exposures: dict[str, Array],
+    *,
+    sigma_clock: float = SIGMA_EVENT_CLOCK,
+) -> FlightPrior:
+    """Joint prior of photos whose poses come from a trajectory.
+
+    Parameters
+    ----------
+    exposures
+        Columns of `navigation/exposures.npz`, photos in its order: `time`, `covariance` and `gain`
+        of the chain, `to_pose`, `mount`, `mount_covariance`, `own`.
+    sigma_clock : s
+        Of the part of the exposure times that all photos share.
+    """
+    n = len(photos)
+    L, M, own = exposures["to_pose"], exposures["mount"], exposures["own"]
+    chain = StateChain(
+        time=exposures["time"], covariance=exposures["covariance"], gain=exposures["gain"]
+    )
+    joint = np.einsum("aij,ajbk,blk->aibl", L, chain.joint().reshape(n, 6, n, 6), L)
+    joint[np.arange(n), :, np.arange(n), :] += own
+    flat = joint.reshape(6 * n, 6 * n)
+    shared = np.zeros((10, 10))
+    shared[:9, :9] = exposures["mount_covariance"]
+    still = np.zeros(3)
+    velocity = [p.pose.velocity_enu if p.pose.velocity_enu is not None else still for p in photos]
+    rate = [p.pose.rate_enu if p.pose.rate_enu is not None else still for p in photos]
+    shared[9, 9] = sigma_clock**2
+    return FlightPrior(
+        id=id,
+        photos=indices,
+        covariance=(flat + flat.T) / 2,
+        white=own,
+        R_enu_from_body=M[:, :3, :3],
+        velocity_enu=np.array(velocity),
+        rate_enu=np.array(rate),
+        shared_covariance=shared,
+    )

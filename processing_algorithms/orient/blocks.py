@@ -1,0 +1,240 @@
+"""A project's photos, tie points and control as a block, and an adjustment's answer as rows."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.errors import InputError
+from georef_gis.frames import exp_so3
+from georef_gis.model.camera import Camera
+from georef_gis.model.control import ControlObservations
+from georef_gis.model.photo import OrientedPhoto
+from georef_gis.model.tie_points import TiePoints
+from georef_gis.orient.adjustment.block import Block, ControlInput, FlightPrior, GroundPrior
+from georef_gis.orient.adjustment.build import (
+    R_turned_from_sensor,
+    SensorViews,
+    first_places,
+    sensor_views,
+)
+from georef_gis.orient.adjustment.keep import load_ties
+from georef_gis.orient.adjustment.priors import (
+    MountPrior,
+    camera_prior,
+    navigation_prior,
+    tag_prior,
+)
+from georef_gis.project import Project
+from georef_gis.project.columns_file import read_columns
+from georef_gis.project.records import camera_of
+from processing_algorithms.orient.match import MATCHES, TIES
+from processing_algorithms.site import Site
+
+# of the height above ground: how far tie points may stand off a flat ground that nobody measured
+RELIEF_SHARE = 0.08
+LEAST_RELIEF = 2.0
+# m, one sigma: no photo shares less of its height with the ground than a control point's
+LEAST_LEVEL = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prepared:
+    """A block, first places of its points, and what leads back to the stored photos."""
+
+    block: Block
+    first: NDArray[np.float64]
+    views: SensorViews
+    turned: Mapping[str, int]
+    control: ControlObservations | None
+
+
+def load_matches(project: Project) -> tuple[TiePoints, dict[str, Any]]:
+    """Tie points and what else `match` left.
+
+    Raises
+    ------
+    InputError
+        If the files are missing or broken.
+    """
+    path = project.adjustment / MATCHES
+    ties = load_ties(project.adjustment / TIES)
+    try:
+        return ties, json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read ({error}); run `georef match --force`", source=str(path)
+        ) from error
+
+
+def prepare(
+    project: Project,
+    site: Site,
+    *,
+    calibrate: bool,
+    control: ControlObservations | None = None,
+) -> Prepared:
+    """Block of all photos of a site that have a pose."""
+    ties, matches = load_matches(project)
+    ties = _of_photos(ties, tuple(site.photos))
+    turns = matches.get("turns") or {}
+    database = project.database
+    cameras = {row["camera_id"]: camera_of(row) for row in database.rows("camera")}
+    before = _turned_before(project, site)
+    turned = {
+        key: (before[key] + int(turns.get(key, {}).get("quarter_deg") or 0)) % 360
+        for key in site.photos
+    }
+    photos = [_turned_photo(o, turned[k] - before[k], cameras) for k, o in site.photos.items()]
+    views = sensor_views(photos, cameras, turned)
+    flights = _flights(project, site, views)
+    moving = any(np.any(flight.velocity_enu) for flight in flights)
+    observed = views.observations(ties)
+    start = []
+    for view in views.photos:
+        turn = turns.get(view.id, {})
+        R = view.pose.R_enu_from_cam
+        if turn.get("correct"):
+            # yaw is clockwise seen from above, a rotation vector counter-clockwise
+            R = exp_so3([0.0, 0.0, -float(turn["yaw"])]) @ R
+        start.append(replace(view.pose, R_enu_from_cam=R))
+    level = 0.0
+    if control is not None and "control" in control.role:
+        shared = max((p.pose.sigma_height_shared for p in views.photos), default=0.0)
+        level = max(shared, LEAST_LEVEL)
+    block = Block(
+        photo_ids=tuple(site.photos),
+        poses=tuple(view.pose for view in views.photos),
+        start=tuple(start),
+        camera_of=views.camera_of,
+        cameras=tuple(
+            camera_prior(c, calibrate=calibrate and c.id not in views.held, moving=moving)
+            for c in views.cameras
+        ),
+        flights=flights,
+        ties=observed,
+        control=_control_input(control, views, tuple(site.photos)),
+        sigma_level=level,
+    )
+    first = first_places(block, site.terrain)
+    relief = _relief(views, first)
+    ground = GroundPrior(
+        z_enu=first[: observed.n_points, 2], sigma=math.hypot(site.terrain.sigma, relief)
+    )
+    return Prepared(
+        block=replace(block, ground=ground), first=first, views=views, turned=turned,
+        control=control,
+    )  # fmt: skip
+
+
+def _of_photos(ties: TiePoints, ids: tuple[str, ...]) -> TiePoints:
+    """Tie points counted by other photos; those of photos that are gone fall away."""
+    if ties.photo_ids == ids:
+        return ties
+    number = {key: i for i, key in enumerate(ids)}
+    new = np.array([number.get(key, -1) for key in ties.photo_ids], dtype=np.int32)
+    kept = ties.selected(new[ties.photo] >= 0)
+    return replace(kept, photo_ids=ids, photo=new[kept.photo])
+
+
+def _turned_before(project: Project, site: Site) -> dict[str, int]:
+    """By how much the direct pose takes the pixels of each photo as turned, deg clockwise."""
+    out = dict.fromkeys(site.photos, 0)
+    for row in project.database.rows("pose"):
+        key = row["photo_id"]
+        if key in out and row["kind"] == site.pose_kinds[key]:
+            out[key] = int((row["extra"] or {}).get("turned_deg", 0))
+    return out
+
+
+def _turned_photo(
+    oriented: OrientedPhoto, degrees: int, cameras: Mapping[str, Camera]
+) -> OrientedPhoto:
+    """Photo whose pixels turn out to be turned: its tags tell of the sensor."""
+    if degrees % 360 == 0:
+        return oriented
+    R = oriented.pose.R_enu_from_cam @ R_turned_from_sensor(degrees).T
+    pose = replace(oriented.pose, R_enu_from_cam=R)
+    return OrientedPhoto(
+        photo=oriented.photo, camera=oriented.camera.turned(degrees % 360), pose=pose
+    )
+
+
+def _flights(project: Project, site: Site, views: SensorViews) -> tuple[FlightPrior, ...]:
+    """Priors by flight: the trajectory's joint covariance where there is one, else the tags'."""
+    joint = _exposures(project)
+    mount = project.settings.mount
+    stated = mount.model_fields_set
+    known = MountPrior(
+        sigma_lever=mount.sigma_lever_arm_m if "sigma_lever_arm_m" in stated else 0.1,
+        sigma_boresight=math.radians(mount.sigma_boresight_deg)
+        if "sigma_boresight_deg" in stated
+        else None,
+    )
+    names = [view.photo.flight_id for view in views.photos]
+    kinds = list(site.pose_kinds.values())
+    ids = list(site.photos)
+    out: list[FlightPrior] = []
+    left = set(range(len(ids)))
+    if joint is not None:
+        inside = [ids.index(str(key)) for key in joint["ids"] if str(key) in site.photos]
+        inside = [i for i in inside if kinds[i] == "navigation"]
+        if len(inside) == len(joint["ids"]):
+            photos = [views.photos[i] for i in inside]
+            out.append(navigation_prior("flight", photos, np.array(inside), joint))
+            left -= set(inside)
+    for kind in ("navigation", "tags"):
+        for name in dict.fromkeys(names):
+            mine = [i for i in sorted(left) if names[i] == name and kinds[i] == kind]
+            if mine:
+                label = name if kind == "tags" else f"{name} navigation"
+                photos = [views.photos[i] for i in mine]
+                out.append(tag_prior(label, photos, np.array(mine), known))
+    return tuple(out)
+
+
+def _exposures(project: Project) -> dict[str, Any] | None:
+    path = project.navigation / "exposures.npz"
+    return read_columns(path, "exposures") if path.exists() else None
+
+
+def _relief(views: SensorViews, first: NDArray[np.float64]) -> float:
+    if not len(first):
+        return LEAST_RELIEF
+    up = np.median([v.pose.origin_enu[2] for v in views.photos]) - np.median(first[:, 2])
+    return float(max(LEAST_RELIEF, RELIEF_SHARE * up))
+
+
+def _control_input(
+    control: ControlObservations | None, views: SensorViews, ids: Sequence[str]
+) -> ControlInput | None:
+    """Control with its marks in the sensors' pixels; points that are off fall away."""
+    if control is None or not len(control.photo_ids):
+        return None
+    number = {key: i for i, key in enumerate(ids)}
+    keep = [
+        k
+        for k, (key, j) in enumerate(zip(control.photo_ids, control.point, strict=True))
+        if key in number and control.role[j] != "off"
+    ]
+    if not keep:
+        return None
+    photo = np.array([number[control.photo_ids[k]] for k in keep])
+    uv = np.vstack([views.uv(int(i), control.uv[[k]]) for i, k in zip(photo, keep, strict=True)])
+    scale = np.array([views.scale(int(i)) for i in photo])
+    return ControlInput(
+        names=control.names,
+        p_enu=control.p_enu,
+        sigma=control.sigma,
+        used=np.array([role == "control" for role in control.role]),
+        photo=photo,
+        point=control.point[keep].astype(np.int64),
+        uv=uv,
+        sigma_px=control.sigma_px[keep] * scale,
+    )
