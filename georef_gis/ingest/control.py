@@ -1,357 +1,229 @@
-"""Control and check points and their pixels in the photos."""
+"""Control and check points and their pixels in the photos: the door to every format.
+
+What is wrong with one line becomes one line of `Control.doubts`, and the rest goes on; only a
+file of which nothing can be used raises.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
-from urllib.parse import unquote
+from typing import Literal, get_args
 
 from georef_gis.errors import InputError
 from georef_gis.geodesy import CRS, Datum, HeightKind
+from georef_gis.ingest.control_metashape import read_markers_xml
+from georef_gis.ingest.control_odm import gcp_rows, is_gcp_list, read_gcp_rows
+from georef_gis.ingest.control_tables import PointTable, marks_of, point_of, point_table
 from georef_gis.ingest.tables import (
     Lines,
-    Row,
     height_of,
     height_unit,
     parse_table_crs,
     read_lines,
-    separator_of,
-    split,
 )
+from georef_gis.model.control import Control, ControlPoint, Mark
+from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
-Role = Literal["control", "check", "off"]
-ROLES: tuple[Role, ...] = ("control", "check", "off")
+ControlFormat = Literal["auto", "georef", "odm", "pix4d", "metashape", "dronedeploy"]
+PixelZero = Literal["auto", "centre", "corner"]
+HEIGHT_UNITS = {"m": 1.0, "ft": INTERNATIONAL_FOOT, "us-ft": US_SURVEY_FOOT}
 _HEIGHT_KINDS = tuple(kind.value for kind in HeightKind)
-_CONTROL = ("name", "easting", "northing", "height", "sigma_h_m", "sigma_v_m", "role")
-_MARKS = ("name", "photo", "u", "v", "sigma_px")
-# m and px, one sigma where a file states none
-_SIGMA_SURVEYED = 0.02
-_SIGMA_CLICKED = 1.0
+# m; the same point written twice with as many decimals
+_SAME_PLACE = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ControlPoint:
-    """A surveyed point in its file's CRS: x east, y north; sigmas in m. No height is None."""
-
-    name: str
-    easting: float
-    northing: float
-    height: float | None
-    sigma_h: float = _SIGMA_SURVEYED
-    sigma_v: float = _SIGMA_SURVEYED
-    role: Role = "control"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark:
-    """Pixel of a point in a photo; (0, 0) is the centre of the first pixel."""
-
-    name: str
-    photo: str
-    u: float
-    v: float
-    sigma_px: float = _SIGMA_CLICKED
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Control:
-    """Points of one file with its CRS, datum and kind of height; heights in m."""
-
-    crs: CRS
-    datum: Datum
-    height_kind: HeightKind
-    geoid: str
-    points: tuple[ControlPoint, ...]
-    marks: tuple[Mark, ...] = ()
-    doubts: tuple[str, ...] = ()
-
-
-def read_control(path: Path, *, crs: str | None = None, datum: str = "auto") -> Control:
-    """Points of a control.csv.
-
-    The header states `# crs: EPSG:6601`, `# datum: NAD83(2011)@2010.0` and, where the CRS has no
-    vertical part, `# height_kind: orthometric`, `# geoid: geoid18`, `# unit: US survey foot`.
-    Heights come out in metres, easting and northing stay in the unit of the CRS.
+class ControlOptions:
+    """What the user says of a file of points; "auto" and None leave it to the file.
 
     Parameters
     ----------
-    path
-        Columns name, easting, northing, height, sigma_h_m, sigma_v_m, role.
-    crs
-        CRS where the file states none.
-    datum
-        Datum instead of the one the file states; "auto" takes the file's.
+    crs, geoid
+        Where the file names none.
+    datum, height_kind, height_unit
+        Instead of what the file says. Kind "none" leaves all heights out.
+    sigma_h, sigma_v, sigma_px
+        Instead of what the file says, m and px.
+    """
+
+    format: ControlFormat = "auto"
+    crs: str | None = None
+    datum: str = "auto"
+    height_kind: str = "auto"
+    height_unit: str = "auto"
+    geoid: str | None = None
+    pixel_zero: PixelZero = "auto"
+    sigma_h: float | None = None
+    sigma_v: float | None = None
+    sigma_px: float | None = None
+
+
+def read_control(path: Path, options: ControlOptions | None = None) -> Control:
+    """Points of a file, and its marks if the format has them.
+
+    Heights come out in m where their unit is stated (`Control.height_unit`); easting and northing
+    stay in the unit of the CRS.
 
     Raises
     ------
     InputError
-        Naming file, line, column, value and cure.
+        If nothing of the file can be used, naming file, line, column, value and cure.
     """
+    options = options or ControlOptions()
+    if options.format not in get_args(ControlFormat):
+        known = ", ".join(get_args(ControlFormat))
+        raise InputError(
+            f"'{options.format}' is not known; use one of {known}", field="[control] format"
+        )
+    if _is_xml(path):
+        return _finish(_from_xml(path, options), path, options)
     lines = read_lines(path)
-    text = lines.header.get("crs") or crs
+    odm = is_gcp_list(lines) if options.format == "auto" else options.format == "odm"
+    read = _from_gcp_list if odm else _from_table
+    return _finish(read(lines, options), path, options)
+
+
+def read_marks(path: Path, control: Control, options: ControlOptions | None = None) -> Control:
+    """Control with the marks of a file of their own besides those it has.
+
+    Raises
+    ------
+    InputError
+        If nothing of the file can be used.
+    """
+    options = options or ControlOptions()
+    if _is_xml(path):
+        corner = options.pixel_zero != "centre"
+        _, _, marks, doubts = read_markers_xml(path, corner=corner)
+    else:
+        lines = read_lines(path)
+        if is_gcp_list(lines):
+            _, marks, doubts = read_gcp_rows(gcp_rows(lines)[1])
+            marks = _shifted(marks, options)
+        else:
+            corner_or_not = {"auto": None, "centre": False, "corner": True}[options.pixel_zero]
+            names = [point.name for point in control.points]
+            marks, doubts = marks_of(lines, names, corner_or_not)
+    marks, others = _known_names(marks, control.points)
+    if options.sigma_px is not None:
+        marks = [replace(mark, sigma_px=options.sigma_px) for mark in marks]
+    return replace(control, marks=(*control.marks, *marks)).saying(*doubts, *others)
+
+
+def _is_xml(path: Path) -> bool:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(200).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"<")
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=str(path)) from error
+
+
+# -- formats -----------------------------------------------------------------------------------
+
+
+def _from_xml(path: Path, options: ControlOptions) -> Control:
+    crs, points, marks, doubts = read_markers_xml(path, corner=options.pixel_zero != "centre")
+    used = _crs(crs, options, str(path))
+    return Control(
+        crs=used, datum=Datum(), height_kind=HeightKind.UNKNOWN, geoid="", points=tuple(points),
+        marks=tuple(marks), doubts=tuple(doubts), height_unit=None, format="metashape",
+    )  # fmt: skip
+
+
+def _from_gcp_list(lines: Lines, options: ControlOptions) -> Control:
+    text, rows = gcp_rows(lines)
+    used = _crs(text, options, f"{lines.path}, line 1")
+    points, marks, doubts = read_gcp_rows(rows)
+    return Control(
+        crs=used, datum=Datum(), height_kind=HeightKind.UNKNOWN, geoid="", points=tuple(points),
+        marks=tuple(_shifted(marks, options)), doubts=tuple(doubts), height_unit=None,
+        format="odm",
+    )  # fmt: skip
+
+
+def _shifted(marks: Iterable[Mark], options: ControlOptions) -> list[Mark]:
+    shift = 0.5 if options.pixel_zero == "corner" else 0.0
+    return [replace(mark, u=mark.u - shift, v=mark.v - shift) for mark in marks]
+
+
+def _from_table(lines: Lines, options: ControlOptions) -> Control:
+    text = lines.header.get("crs") or lines.header.get("coordinatesystem") or ""
+    stated = _crs(text, options, str(lines.path)) if text or options.crs else None
+    table = point_table(lines, stated)
+    format = options.format if options.format != "auto" else _format_of(lines, table)
+    used = _table_crs(table, stated, lines)
+    points, doubts = [], []
+    for row in table.rows:
+        try:
+            points.append(point_of(row, used, format))
+        except InputError as error:
+            doubts.append(f"{error}; left out")
+    if not points:
+        raise InputError(doubts[0].removesuffix("; left out"))
+    kind, geoid = _stated_kind(lines)
+    unit = table.height_unit
+    if "unit" in lines.header or "height_unit" in lines.header:
+        unit = height_unit(lines, used)
+    control = Control(
+        crs=used, datum=Datum.parse(lines.header.get("datum", "unknown")), height_kind=kind,
+        geoid=geoid, points=tuple(points), doubts=tuple(doubts), height_unit=unit,
+        order_open=not table.headed, format=format,
+    )  # fmt: skip
+    return _one_of_each(control)
+
+
+def _format_of(lines: Lines, table: PointTable) -> ControlFormat:
+    if not table.headed:
+        return "pix4d"
+    text = " ".join(line.lower() for _, line in lines.lines[:10])
+    if "gcp label" in text:
+        return "dronedeploy"
+    return "metashape" if re.search(r"#\s*label|x/(easting|longitude)", text) else "georef"
+
+
+def _table_crs(table: PointTable, stated: CRS | None, lines: Lines) -> CRS:
+    if table.degrees and (stated is None or stated.is_projected):
+        return parse_table_crs("EPSG:4326", str(lines.path))
+    if stated is None and not table.headed and _look_like_degrees(table):
+        return parse_table_crs("EPSG:4326", str(lines.path))
+    if stated is None:
+        raise InputError(
+            "no CRS; write '# crs: EPSG:code' above the columns, or [control] crs in project.toml",
+            source=str(lines.path),
+            field="crs",
+        )
+    return stated
+
+
+def _look_like_degrees(table: PointTable) -> bool:
+    try:
+        pairs = [(row.number("easting"), row.number("northing")) for row in table.rows]
+    except InputError:
+        return False
+    return all(a is not None and b is not None and abs(a) <= 180 and abs(b) <= 180
+               for a, b in pairs)  # fmt: skip
+
+
+def _crs(text: str, options: ControlOptions, source: str) -> CRS:
+    text = re.sub(r"(?i)^epsg[:\s]+", "EPSG:", text.strip()) or options.crs or ""
     if not text:
         raise InputError(
-            "no CRS; write '# crs: EPSG:code' above the columns", source=str(path), field="crs"
+            "no CRS; write it in the first line, such as EPSG:32722, or [control] crs in "
+            "project.toml",
+            source=source,
+            field="crs",
         )
-    used = parse_table_crs(text, str(path))
-    rows = _rows(lines, _CONTROL, ("name", "easting", "northing"))
-    unit = height_unit(lines, used)
-    points = [_point(row, used, unit) for row in rows]
-    _refuse_twice(((row, point.name) for row, point in zip(rows, points, strict=True)), "point")
-    kind, geoid = _height_kind(lines, used)
-    stated = lines.header.get("datum", "unknown") if datum == "auto" else datum
-    return Control(
-        crs=used,
-        datum=Datum.parse(stated),
-        height_kind=kind,
-        geoid=geoid,
-        points=tuple(points),
-        doubts=tuple(_zero_heights(points, path)),
-    )
+    return parse_table_crs(text, source)
 
 
-def read_marks(path: Path, *, control: Control | None = None) -> tuple[Mark, ...]:
-    """Pixels of a marks.csv: name, photo, u, v, sigma_px.
-
-    Parameters
-    ----------
-    path
-        The file.
-    control
-        Points that the names must belong to.
-
-    Raises
-    ------
-    InputError
-        Naming file, line, column, value and cure.
-    """
-    rows = _rows(read_lines(path), _MARKS, ("name", "photo", "u", "v"))
-    known = None if control is None else {point.name for point in control.points}
-    marks = []
-    for row in rows:
-        name, photo = row.text("name"), row.text("photo")
-        if not name or not photo:
-            raise InputError("name or photo is missing", source=row.source)
-        if known is not None and name not in known:
-            raise InputError(
-                f"point '{name}' is not among the control points; correct the name or add it",
-                source=row.source,
-                field="name",
-            )
-        sigma = row.number("sigma_px")
-        marks.append(
-            Mark(
-                name=name,
-                photo=photo,
-                u=_pixel(row, "u"),
-                v=_pixel(row, "v"),
-                sigma_px=_positive(row, "sigma_px", sigma, _SIGMA_CLICKED),
-            )
-        )
-    return tuple(marks)
+# -- heights, datum and names ------------------------------------------------------------------
 
 
-def read_gcp_list(path: Path, *, crs: str | None = None) -> Control:
-    """Points and marks of ODM's gcp_list.txt: CRS, then x y z u v photo [name].
-
-    Pixels need no shift: OpenSfM counts from the centre of the first pixel too (its
-    `normalized_image_coordinates`). Names that start with CHK- are check points.
-
-    Raises
-    ------
-    InputError
-        Naming file, line, column, value and cure.
-    """
-    lines = read_lines(path)
-    first = lines.lines[0][1]
-    rows = _gcp_rows(lines)
-    used = parse_table_crs(first if rows[0].line != lines.lines[0][0] else crs or "", str(path))
-    points: dict[str, ControlPoint] = {}
-    marks: dict[tuple[str, str], tuple[int, Mark]] = {}
-    kept: list[Mark] = []
-    doubts: list[str] = []
-    for row in rows:
-        point, mark = _gcp(row, used)
-        before = points.setdefault(point.name, point)
-        if (before.easting, before.northing, before.height) != (
-            point.easting, point.northing, point.height
-        ):  # fmt: skip
-            raise InputError(
-                f"point '{point.name}' has other coordinates than above; correct one of them",
-                source=row.source,
-                field="gcp_name",
-            )
-        key = (mark.name, mark.photo)
-        if key in marks:
-            line, other = marks[key]
-            doubts.append(
-                f"{path.name}, line {row.line}: point {mark.name} is marked in {mark.photo} twice, "
-                f"at {other.u:g}, {other.v:g} px (line {line}) and {mark.u:g}, {mark.v:g} px; "
-                "remove the wrong one"
-            )
-        marks.setdefault(key, (row.line, mark))
-        kept.append(mark)
-    kind, geoid = _height_kind(lines, used)
-    return Control(
-        crs=used,
-        datum=Datum(),
-        height_kind=kind,
-        geoid=geoid,
-        points=tuple(points.values()),
-        marks=tuple(kept),
-        doubts=(*doubts, *_zero_heights(points.values(), path)),
-    )
-
-
-def _gcp_rows(lines: Lines) -> tuple[Row, ...]:
-    """Rows that start with five numbers; the line before them is the CRS."""
-    out = []
-    for i, (n, line) in enumerate(lines.lines):
-        row = Row(path=lines.path, line=n, cells=split(line, separator_of(line) if i else ""))
-        if i == 0 and not _starts_with_number(row):
-            continue
-        if line.startswith("#"):
-            continue
-        if len(row.cells) < 6:
-            raise InputError(
-                f"has {len(row.cells)} columns; x y z u v photo are needed", source=row.source
-            )
-        out.append(row)
-    if not out:
-        raise InputError("has no points", source=str(lines.path))
-    return tuple(out)
-
-
-def _starts_with_number(row: Row) -> bool:
-    try:
-        float(row.cells[0])
-    except ValueError:
-        return False
-    return len(row.cells) >= 6
-
-
-def _gcp(row: Row, crs: CRS) -> tuple[ControlPoint, Mark]:
-    names = ("geo_x", "geo_y", "geo_z", "im_x", "im_y")
-    x, y, u, v = (row.required(i, names[i]) for i in (0, 1, 3, 4))
-    z = row.number(2, "geo_z")
-    height = height_of(z, crs)
-    label = row.text(6) or f"{x:.3f} {y:.3f}"
-    check = label.upper().startswith("CHK-")
-    name = label[4:] if check else label
-    point = ControlPoint(
-        name=name,
-        easting=x,
-        northing=y,
-        height=None if height is None else height.value,
-        role="check" if check else "control",
-    )
-    _check_place(row, x, y, crs)
-    return point, Mark(name=name, photo=unquote(row.text(5)), u=u, v=v)
-
-
-def _rows(lines: Lines, names: tuple[str, ...], needed: tuple[str, ...]) -> tuple[Row, ...]:
-    data = lines.data
-    if not data:
-        raise InputError("has no columns and rows", source=str(lines.path))
-    separator = separator_of(data[0][1]) or ","
-    header = tuple(cell.lower() for cell in split(data[0][1], separator))
-    missing = [name for name in needed if name not in header]
-    if missing:
-        raise InputError(
-            f"column {', '.join(missing)} is missing; the columns are {', '.join(names)}",
-            source=f"{lines.path}, line {data[0][0]}",
-        )
-    columns = {name: i for i, name in enumerate(header)}
-    rows = tuple(
-        Row(path=lines.path, line=n, cells=split(line, separator), columns=columns)
-        for n, line in data[1:]
-    )
-    if not rows:
-        raise InputError("has no rows", source=str(lines.path))
-    return rows
-
-
-def _point(row: Row, crs: CRS, unit: float) -> ControlPoint:
-    name = row.text("name")
-    if not name:
-        raise InputError("the point's name is missing", source=row.source, field="name")
-    role = row.text("role").lower() or "control"
-    known: Role | None = next((r for r in ROLES if r == role), None)
-    if known is None:
-        raise InputError(
-            f"'{role}' is not a role; use one of {', '.join(ROLES)}",
-            source=row.source,
-            field="role",
-        )
-    x, y = row.required("easting"), row.required("northing")
-    _check_place(row, x, y, crs)
-    height = height_of(row.number("height"), crs)
-    return ControlPoint(
-        name=name,
-        easting=x,
-        northing=y,
-        height=None if height is None else height.value * unit,
-        sigma_h=_positive(row, "sigma_h_m", row.number("sigma_h_m"), _SIGMA_SURVEYED),
-        sigma_v=_positive(row, "sigma_v_m", row.number("sigma_v_m"), _SIGMA_SURVEYED),
-        role=known,
-    )
-
-
-def _check_place(row: Row, x: float, y: float, crs: CRS) -> None:
-    if crs.is_projected:
-        return
-    if abs(y) > 90.0 or abs(x) > 180.0:
-        swapped = abs(x) <= 90.0 and abs(y) <= 180.0
-        cure = "longitude comes first: exchange the columns" if swapped else "check the CRS"
-        raise InputError(
-            f"longitude {x:g}, latitude {y:g} is not on the Earth; {cure}",
-            source=row.source,
-            field="easting, northing",
-        )
-
-
-def _positive(row: Row, column: str, value: float | None, default: float) -> float:
-    if value is None:
-        return default
-    if value <= 0.0:
-        raise InputError(
-            f"{value:g} is no standard deviation; give a positive number",
-            source=row.source,
-            field=column,
-        )
-    return value
-
-
-def _pixel(row: Row, column: str) -> float:
-    value = row.required(column)
-    if not -0.5 <= value < 200_000.0:
-        raise InputError(
-            f"{value:g} px lies outside of any photo; (0, 0) is the centre of the first pixel",
-            source=row.source,
-            field=column,
-        )
-    return value
-
-
-def _refuse_twice(names: Iterable[tuple[Row, str]], what: str) -> None:
-    seen: dict[str, int] = {}
-    for row, name in names:
-        if name in seen:
-            raise InputError(
-                f"{what} '{name}' stands in line {seen[name]} too; keep one of the two",
-                source=row.source,
-                field="name",
-            )
-        seen[name] = row.line
-
-
-def _height_kind(lines: Lines, crs: CRS) -> tuple[HeightKind, str]:
-    """Kind of the heights and geoid: of the CRS's vertical part, else as the header states."""
-    of_crs = height_of(0.0, crs)
-    if of_crs is not None and of_crs.kind is not HeightKind.UNKNOWN:
-        return of_crs.kind, of_crs.geoid
+def _stated_kind(lines: Lines) -> tuple[HeightKind, str]:
+    """Kind of the heights and their geoid ('' = not stated) by the header."""
     words = lines.header.get("height", lines.header.get("height_kind", "unknown")).lower().split()
     if words[0] not in _HEIGHT_KINDS:
         raise InputError(
@@ -359,17 +231,102 @@ def _height_kind(lines: Lines, crs: CRS) -> tuple[HeightKind, str]:
             source=str(lines.path),
             field="height",
         )
-    geoid = words[1] if len(words) > 1 else lines.header.get("geoid", "egm96").lower()
+    geoid = words[1] if len(words) > 1 else lines.header.get("geoid", "").lower()
     return HeightKind(words[0]), geoid
 
 
-def _zero_heights(points: Iterable[ControlPoint], path: Path) -> list[str]:
-    """Doubt about heights of 0 beside others: a place-holder for an unknown height."""
-    listed = list(points)
-    zero = [p.name for p in listed if p.height == 0.0]
-    if zero and any(p.height and abs(p.height) > 1.0 for p in listed):
-        return [
-            f"{path.name}: point {', '.join(zero[:5])} has height 0 while others have not; leave "
-            "the height empty if it is unknown"
-        ]
-    return []
+def _finish(control: Control, path: Path, options: ControlOptions) -> Control:
+    """Control with the user's words put in, heights in m, and names of marks that exist."""
+    points, doubts = _without_zeros(control.points, path)
+    # A vertical part of the CRS tells kind, geoid and unit of the heights.
+    of_crs = height_of(1.0, control.crs)
+    unit, kind, geoid = control.height_unit, control.height_kind, control.geoid
+    if of_crs is not None and (control.crs.is_compound or of_crs.kind is HeightKind.ELLIPSOIDAL):
+        unit = of_crs.value
+        if of_crs.kind is not HeightKind.UNKNOWN:
+            kind, geoid = of_crs.kind, geoid or of_crs.geoid
+    if options.height_unit != "auto":
+        unit = HEIGHT_UNITS[options.height_unit]
+    if options.height_kind in _HEIGHT_KINDS:
+        kind = HeightKind(options.height_kind)
+    keep = options.height_kind != "none"
+    points = [
+        replace(
+            point,
+            height=None if point.height is None or not keep else point.height * (unit or 1.0),
+            sigma_h=options.sigma_h or point.sigma_h,
+            sigma_v=options.sigma_v or point.sigma_v,
+        )
+        for point in points
+    ]
+    marks, strangers = _known_names(control.marks, points)
+    if options.sigma_px is not None:
+        marks = [replace(mark, sigma_px=options.sigma_px) for mark in marks]
+    return replace(
+        control, points=tuple(points), marks=tuple(marks), height_unit=unit, height_kind=kind,
+        geoid=geoid or options.geoid or "egm96",
+        datum=control.datum if options.datum == "auto" else Datum.parse(options.datum),
+    ).saying(*doubts, *strangers)  # fmt: skip
+
+
+def _without_zeros(
+    points: Sequence[ControlPoint], path: Path
+) -> tuple[list[ControlPoint], list[str]]:
+    """Heights of exactly 0 among others stand for unknown ones (WebODM's docs advise that)."""
+    zero = [point.name for point in points if point.height == 0.0]
+    if not zero or not any(point.height and abs(point.height) > 1.0 for point in points):
+        return list(points), []
+    some = ", ".join(zero[:5]) + (" ..." if len(zero) > 5 else "")
+    return [replace(p, height=None) if p.height == 0.0 else p for p in points], [
+        f"{path}: height: point {some} has height 0 while others have not; used without height "
+        "(leave it empty if it is unknown)"
+    ]
+
+
+def _one_of_each(control: Control) -> Control:
+    """Points of one name: one if they agree; else the name is ambiguous and off."""
+    metres = control.crs.axis_info[0].unit_conversion_factor if control.crs.is_projected else 111e3
+    out: dict[str, ControlPoint] = {}
+    doubts = []
+    for point in control.points:
+        first = out.setdefault(point.name, point)
+        if first is point:
+            continue
+        away = metres * max(
+            abs(first.easting - point.easting), abs(first.northing - point.northing)
+        )
+        both = first.height is not None and point.height is not None
+        rise = abs((first.height or 0.0) - (point.height or 0.0)) * both
+        rise *= control.height_unit or 1.0
+        if max(away, rise) <= _SAME_PLACE:
+            continue
+        doubts.append(
+            f"{point.source}: name: point '{point.name}' stands in "
+            f"{first.source.rpartition(', ')[2]} too, {max(away, rise):.3g} m away; neither is "
+            "used: rename or remove one"
+        )
+        out[point.name] = replace(first, role="off")
+    return replace(control, points=tuple(out.values())).saying(*doubts)
+
+
+def _known_names(
+    marks: Iterable[Mark], points: Iterable[ControlPoint]
+) -> tuple[list[Mark], list[str]]:
+    """Marks under the points' own names, whatever their case; marks of no point are told."""
+    names = {point.name: point.name for point in points}
+    folded: dict[str, list[str]] = {}
+    for name in names:
+        folded.setdefault(" ".join(name.lower().split()), []).append(name)
+    kept, strangers = [], dict[str, list[Mark]]()
+    for mark in marks:
+        like = folded.get(" ".join(mark.name.lower().split()), [])
+        own = names.get(mark.name) or (like[0] if len(like) == 1 else None)
+        if own is None:
+            strangers.setdefault(mark.name, []).append(mark)
+        else:
+            kept.append(mark if own == mark.name else replace(mark, name=own))
+    return kept, [
+        f"{some[0].source}: name: point '{name}' is not among the control points; its "
+        f"{len(some)} marks are left out: correct the name or add the point"
+        for name, some in strangers.items()
+    ]

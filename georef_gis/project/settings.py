@@ -224,18 +224,58 @@ class PosesSection(Section):
     file: Path | None = Field(
         default=None, description="ODM geo.txt, or reference CSV of Metashape, Pix4D"
     )
-    format: Literal["auto", "odm", "metashape", "pix4d", "orthority"] = Field(
-        default="auto", description='"auto", "odm", "metashape", "pix4d" or "orthority"'
+    format: Literal["auto", "odm", "metashape", "pix4d", "orthority", "opensfm", "colmap"] = Field(
+        default="auto",
+        description='"auto", "odm", "metashape", "pix4d", "orthority", "opensfm" or "colmap"',
     )
     crs: str | None = Field(default=None, description="CRS of the file if it does not say")
 
 
 class ControlSection(Section):
-    """Control and check points."""
+    """Control and check points; formats and traps are told in docs/control.md."""
 
-    file: Path | None = Field(default=None, description="Points (control.csv)")
-    marks: Path | None = Field(default=None, description="Their pixels in the photos (marks.csv)")
+    file: Path | None = Field(
+        default=None, description="Points: control.csv, gcp_list.txt, Pix4D, Metashape, DroneDeploy"
+    )
+    marks: Path | None = Field(
+        default=None, description="Their pixels in the photos (marks.csv), if apart"
+    )
+    format: Literal["auto", "georef", "odm", "pix4d", "metashape", "dronedeploy"] = Field(
+        default="auto",
+        description='"auto" (by content), "georef", "odm", "pix4d", "metashape", "dronedeploy"',
+    )
+    crs: str | None = Field(default=None, description="CRS of the points if the file does not say")
     datum: str = Field(default="auto", description='Datum of the points; "auto" = as the file says')
+    height_kind: Literal["auto", "ellipsoidal", "orthometric", "none"] = Field(
+        default="auto",
+        description='"auto" (as the file says), "ellipsoidal", "orthometric", "none" = not used',
+    )
+    height_unit: Literal["auto", "m", "ft", "us-ft"] = Field(
+        default="auto", description='Unit of the heights: "auto" (as the file says), "m", "us-ft"'
+    )
+    geoid: str | None = Field(
+        default=None, description="Geoid of orthometric heights if the file does not say"
+    )
+    pixel_zero: Literal["auto", "centre", "corner"] = Field(
+        default="auto",
+        description='Where (0, 0) is in the first pixel: "auto" (by format), "centre", "corner"',
+    )
+    sigma_h_m: float | None = Field(
+        default=None, gt=0, description="One sigma in east and north, m; of the file, else 0.02"
+    )
+    sigma_v_m: float | None = Field(
+        default=None, gt=0, description="One sigma of the heights, m; of the file, else 0.02"
+    )
+    sigma_px: float | None = Field(
+        default=None, gt=0, description="One sigma of a mark, px; of the file, else 0.5"
+    )
+    control: tuple[str, ...] = Field(
+        default=(), description="Names of points to adjust to, whatever the file says"
+    )
+    check: tuple[str, ...] = Field(
+        default=(), description='Names of points to check with only, such as ["HV11"]'
+    )
+    off: tuple[str, ...] = Field(default=(), description="Names of points to leave out")
 
 
 class LogsSection(Section):
