@@ -43,9 +43,9 @@ from georef_gis.frames import (
 )
 from georef_gis.model.logs import ImuLog, covariance_of_sigmas, unknown
 from georef_gis.navigate import filter_pass, first_state, inertial_solution
+from georef_gis.navigate.dense import unpack
 from georef_gis.navigate.gnss_noise import prepare_fixes
 from georef_gis.navigate.inertial_solution import smooth_flight
-from georef_gis.navigate.kalman import unpack
 from georef_gis.navigate.trajectory import InertialTrajectory
 from georef_gis.navigate.tuning import tune
 from georef_gis.simulate import SimulatedFlight

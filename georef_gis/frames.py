@@ -208,16 +208,52 @@ def R_enu_from_ned(
 # ---------------------------------------------------------------------------------------------
 
 
-def jacobian_theta_ned_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """Left rotation error in ned, rad, per error of (roll, pitch, yaw), rad; shape (3, 3).
+def jacobian_theta_ned_from_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """Left rotation error in ned, rad, per error of (roll, pitch, yaw), rad; (...) -> (..., 3, 3).
 
     Columns are the axes about which each angle turns: yaw about ned z, pitch about the y axis
     after yaw, roll about the body x axis.
     """
-    del roll
-    R_yaw = _turn(2, yaw)
-    R_yaw_pitch = R_yaw @ _turn(1, pitch)
-    return np.column_stack([R_yaw_pitch[:, 0], R_yaw[:, 1], [0.0, 0.0, 1.0]])
+    _, q, y = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (roll, pitch, yaw)))
+    J = np.zeros((*q.shape, 3, 3))
+    J[..., 0, 0], J[..., 1, 0] = np.cos(y) * np.cos(q), np.sin(y) * np.cos(q)
+    J[..., 2, 0] = -np.sin(q)
+    J[..., 0, 1], J[..., 1, 1] = -np.sin(y), np.cos(y)
+    J[..., 2, 2] = 1.0
+    return J
+
+
+def covariance_theta_ned_from_rpy(rpy: ArrayLike, sigma_rpy: ArrayLike) -> Array:
+    """Covariance of the left rotation error in ned of independent sigmas; (..., 3) -> (..., 3, 3).
+
+    Angles and sigmas in rad; NaN where a sigma is unknown.
+    """
+    angles, sigma = np.asarray(rpy, dtype=np.float64), np.asarray(sigma_rpy, dtype=np.float64)
+    J = jacobian_theta_ned_from_rpy(*np.moveaxis(angles, -1, 0)) * sigma[..., None, :]
+    return np.asarray(J @ np.swapaxes(J, -1, -2))
+
+
+def sigma_rpy_from_covariance_theta_ned(rpy: ArrayLike, covariance: ArrayLike) -> Array:
+    """Sigmas of roll, pitch, yaw, rad, of covariances of the left rotation error in ned.
+
+    Parameters
+    ----------
+    rpy : shape (n, 3), rad
+    covariance : shape (n, 3, 3), rad^2
+
+    Returns
+    -------
+    Array
+        Shape (n, 3); NaN where the covariance is unknown or pitch is vertical.
+    """
+    angles, C = np.asarray(rpy, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    out = np.full(angles.shape, np.nan)
+    known = np.all(np.isfinite(C), axis=(1, 2)) & (np.abs(np.cos(angles[:, 1])) > 1e-6)
+    if np.any(known):
+        back = np.linalg.inv(jacobian_theta_ned_from_rpy(*angles[known].T))
+        own = back @ C[known] @ np.swapaxes(back, -1, -2)
+        out[known] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
+    return out
 
 
 def jacobian_theta_map_from_opk(omega: float, phi: float, kappa: float) -> Array:

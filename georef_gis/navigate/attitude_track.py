@@ -190,7 +190,8 @@ class AttitudeTrack:
         return AttitudeParts(
             R_ned_from_body=R,
             rate_body=turn / width[:, None],
-            unit_map=_jacobians(R) * sigma[:, None, :],
+            unit_map=jacobian_theta_ned_from_rpy(*rpy_from_R_ned_from_body(R).T)
+            * sigma[:, None, :],
             white=np.asarray(R @ between @ np.swapaxes(R, -1, -2)),
             tau=np.full(3, self.settings.tau),
         )
@@ -272,12 +273,6 @@ def _bridge(time: Array, rpy: Array, gap: float) -> Array:
     return np.asarray(rate[close].mean(axis=0) if close.any() else np.zeros(3))
 
 
-def _jacobians(R: Array) -> Array:
-    """Of dtheta_ned by errors of roll, pitch, yaw; (n, 3, 3) -> (n, 3, 3)."""
-    rows = [jacobian_theta_ned_from_rpy(*rpy) for rpy in rpy_from_R_ned_from_body(R).tolist()]
-    return np.stack(rows) if rows else np.zeros((0, 3, 3))
-
-
 def held_courses(v_ned: Array, slow: float) -> Array:
     """Course at nodes, rad: where slow, the one before, at the head the first; (m, 3) -> (m,).
 
@@ -330,7 +325,7 @@ def attitude_of_course(
     return AttitudeParts(
         R_ned_from_body=R,
         rate_body=np.einsum("nji,nj->ni", R, turn),
-        unit_map=_jacobians(R) @ unit,
+        unit_map=jacobian_theta_ned_from_rpy(*rpy_from_R_ned_from_body(R).T) @ unit,
         white=np.zeros((len(v), 3, 3)),
         tau=np.array(tau),
     )

@@ -158,3 +158,26 @@ def sample_before(table: Array, time: float) -> int:
         else:
             high = middle
     return low
+
+
+@compiled
+def pack(P: Array, out: Array) -> None:
+    """Lower triangle by rows, into `out` (n (n + 1) / 2,)."""
+    k = 0
+    for i in range(len(P)):
+        for j in range(i + 1):
+            out[k] = P[i, j]
+            k += 1
+
+
+@compiled
+def unpack(packed: Array, n: int) -> Array:
+    """Matrix of a packed lower triangle, (n, n)."""
+    P = np.empty((n, n))
+    k = 0
+    for i in range(n):
+        for j in range(i + 1):
+            P[i, j] = packed[k]
+            P[j, i] = packed[k]
+            k += 1
+    return P

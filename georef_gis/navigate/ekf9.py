@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import InputError, NavigationError
-from georef_gis.frames import Array
+from georef_gis.frames import Array, covariance_theta_ned_from_rpy
 from georef_gis.model.logs import GnssLog, ImuLog, IntArray, TrajectoryLog
 from georef_gis.navigate.ekf9_inputs import (
     Ekf9Settings,
@@ -36,7 +36,6 @@ from georef_gis.navigate.ekf9_inputs import (
 )
 from georef_gis.navigate.ekf9_model import filter_grid, jacobian, smooth_nodes, transition
 from georef_gis.navigate.inertial import gravity as normal_gravity
-from georef_gis.navigate.resample import covariance_of_rpy
 
 __all__ = [
     "Ekf9Result",
@@ -170,7 +169,9 @@ def trajectory_of_ekf9(result: Ekf9Result, *, smoothed: bool | None = None) -> T
         states = result.smoothed
     covariance = np.zeros((len(states.time), 6, 6))
     covariance[:, range(3), range(3)] = states.variance[:, :3]
-    covariance[:, 3:, 3:] = covariance_of_rpy(states.rpy, np.sqrt(states.variance[:, 6:]))
+    covariance[:, 3:, 3:] = covariance_theta_ned_from_rpy(
+        states.rpy, np.sqrt(states.variance[:, 6:])
+    )
     return TrajectoryLog(
         time=states.time, scale=result.scale, source=result.source, doubts=result.doubts,
         lat=states.lat, lon=states.lon, height=states.height, v_ned=states.v_ned,

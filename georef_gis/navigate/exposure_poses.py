@@ -18,7 +18,7 @@ from georef_gis.frames import (
 )
 from georef_gis.model.pose import Mount, Pose
 from georef_gis.model.trajectory import StateChain, Trajectory
-from georef_gis.navigate.columns_file import write_columns
+from georef_gis.project.columns_file import write_columns
 
 # s; a time less exact than this is not linear in what the vehicle does
 COARSE = 0.02
@@ -114,29 +114,18 @@ def exposure_poses(
     shared = np.diag([
         *[mount.sigma_lever_arm**2] * 3, *[mount.sigma_boresight**2] * 3, *[sigma_datum**2] * 2, 0.0
     ])  # fmt: skip
-    arm = mount.lever_arm_body_camera
     turned = _coarse_times(trajectory, times, variance_of_time, origin)
     p_imu = origin.enu_from_geo(states.p_geo)
+    R_en = R_enu_from_ned(origin.lat, origin.lon, states.p_geo[:, 0], states.p_geo[:, 1])
     for i in range(n):
-        lat, lon = states.p_geo[i, :2]
-        R_en = R_enu_from_ned(origin.lat, origin.lon, float(lat), float(lon))
-        R_eb = R_en @ states.R_ned_from_body[i]
+        R_eb = R_en[i] @ states.R_ned_from_body[i]
         tagged = None if held is None else held[i]
-        a = R_eb @ arm
+        a = R_eb @ mount.lever_arm_body_camera
         rate = R_eb @ states.rate_body[i]
-        velocity = R_en @ states.v_ned[i] + np.cross(rate, a)
-        L[i, :3, :3] = R_en
-        # an attitude error swings the camera round the IMU
-        L[i, :3, 3:] = -skew(a) @ R_en
-        M[i, :3, :3] = R_eb
-        M[i, :3, 6:9] = np.eye(3)
-        if tagged is None:
-            L[i, 3:, 3:] = R_en
-            M[i, 3:, 3:6] = R_eb
+        velocity = R_en[i] @ states.v_ned[i] + np.cross(rate, a)
+        L[i], M[i] = _sensitivities(R_en[i], R_eb, a, held=tagged is not None)
         moved = np.concatenate([velocity, rate])
-        own[i] = variance_of_time[i] * np.outer(moved, moved)
-        if i in turned:
-            own[i] = turned[i]
+        own[i] = turned[i] if i in turned else variance_of_time[i] * np.outer(moved, moved)
         R_ec = R_eb @ mount.R_body_from_cam
         if tagged is not None:
             own[i, 3:, :] = own[i, :, 3:] = 0.0
@@ -157,6 +146,24 @@ def exposure_poses(
         ids=tuple(ids), poses=tuple(poses), chain=chain, to_pose=L, mount=M,
         mount_covariance=shared, own=own,
     )  # fmt: skip
+
+
+def _sensitivities(R_en: Array, R_eb: Array, arm: Array, *, held: bool) -> tuple[Array, Array]:
+    """Error of a camera's pose by that of the trajectory (6, 6) and of the mount (6, 9).
+
+    `arm` is the camera's lever arm in enu, m; the angles of a camera that is `held` by a gimbal
+    are neither the trajectory's nor the mount's.
+    """
+    L, M = np.zeros((6, 6)), np.zeros((6, 9))
+    L[:3, :3] = R_en
+    # an attitude error swings the camera round the IMU
+    L[:3, 3:] = -skew(arm) @ R_en
+    M[:3, :3] = R_eb
+    M[:3, 6:9] = np.eye(3)
+    if not held:
+        L[3:, 3:] = R_en
+        M[3:, 3:6] = R_eb
+    return L, M
 
 
 def _coarse_times(

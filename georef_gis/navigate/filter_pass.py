@@ -224,13 +224,23 @@ def filter_pass(
         chi2.ppf(1.0 - settings.gate, 3), chi2.ppf(1.0 - settings.gate, 1), settings.reacquire,
     ])  # fmt: skip
     reached = run_filter(
-        imu, times, jump, fix, np.array([layout.slow, layout.baro, layout.wind, 0]),
-        np.stack([layout.density, layout.tau]),
-        (np.stack([fixes.p_geo, fixes.v]), np.stack([fixes.R_p, fixes.R_v])),
-        _aid_table(times, aids, fixes),
-        np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
-        gates, prior[0].copy(), prior[1].copy(), prior[2].copy(), out, chi,
-    )  # fmt: skip
+        imu,
+        (times, jump, fix),
+        (
+            np.array([layout.slow, layout.baro, layout.wind, 0]),
+            np.stack([layout.density, layout.tau]),
+        ),
+        (
+            np.stack([fixes.p_geo, fixes.v]),
+            np.stack([fixes.R_p, fixes.R_v]),
+            _aid_table(times, aids, fixes),
+            np.asarray(settings.lever_arm_body_antenna, dtype=np.float64),
+        ),
+        gates,
+        (prior[0].copy(), prior[1].copy(), prior[2].copy()),
+        out,
+        chi,
+    )
     if reached < m:
         raise NavigationError(
             f"the filter lost the vehicle {times[reached] - times[0]:.1f} s after the start; check "

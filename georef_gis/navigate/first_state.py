@@ -14,6 +14,7 @@ from georef_gis.navigate.alignment import (
     Alignment,
     carried_back,
 )
+from georef_gis.navigate.dense import unpack
 from georef_gis.navigate.filter_pass import (
     Layout,
     filter_pass,
@@ -21,7 +22,6 @@ from georef_gis.navigate.filter_pass import (
     prior_state,
 )
 from georef_gis.navigate.gnss_noise import Fixes
-from georef_gis.navigate.kalman import unpack
 from georef_gis.navigate.settings import NavigationSettings
 from georef_gis.navigate.smoother import run_smoother
 

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from georef_gis.ellipsoid import Origin
 from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
-from georef_gis.geodesy import HeightKind, geoid_undulation
+from georef_gis.geodesy import HeightKind
 from georef_gis.model.logs import FIX_FIXED, FIX_FLOAT, GnssLog
+from georef_gis.navigate.resample import ellipsoidal_heights
 
 # m, one sigma per horizontal axis of a fix whose log states none, and of its height in that unit
 SIGMA_OF_FIX = {FIX_FIXED: 0.03, FIX_FLOAT: 0.5}
@@ -119,19 +120,6 @@ def local_positions(gnss: GnssLog) -> Array:
     return np.stack([enu[:, 1], enu[:, 0], -gnss.height], axis=-1)
 
 
-def ellipsoidal_heights(gnss: GnssLog, *, geoid: str = "egm96") -> Array:
-    """Ellipsoidal heights of a log, m; those of unknown kind are taken as orthometric."""
-    if gnss.height_kind is HeightKind.ELLIPSOIDAL:
-        return gnss.height
-    if gnss.height_kind is HeightKind.ABOVE_GROUND:
-        raise NavigationError(f"{gnss.source}: heights above ground are no heights of fixes; "
-                              "log heights above sea level or the ellipsoid")  # fmt: skip
-    # the receiver's own separation takes back exactly what it subtracted
-    own = np.isfinite(gnss.geoid_separation)
-    modelled = geoid_undulation(gnss.lat, gnss.lon, geoid=geoid)
-    return np.asarray(gnss.height + np.where(own, gnss.geoid_separation, modelled))
-
-
 def prepare_fixes(
     gnss: GnssLog, *, slow_sigma: float | None = None, latency: float = 0.0, geoid: str = "egm96"
 ) -> Fixes:
@@ -148,6 +136,8 @@ def prepare_fixes(
     ------
     NavigationError
         If there is no fix at all.
+    CrsError
+        If the heights are above ground.
     """
     whole = np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & np.isfinite(gnss.height)
     if not whole.all():
@@ -165,7 +155,9 @@ def prepare_fixes(
     level = np.isfinite(v[:, 0]) & ~np.isfinite(v[:, 2])
     v[level, 2] = 0.0
     R_v[level, 2, 2] = 10.0**2
-    p_geo = np.stack([gnss.lat, gnss.lon, ellipsoidal_heights(gnss, geoid=geoid)], axis=-1)
+    # most receivers and programs that do not say mean the sea level
+    height = ellipsoidal_heights(gnss, geoid=geoid, unstated=HeightKind.ORTHOMETRIC)
+    p_geo = np.stack([gnss.lat, gnss.lon, height], axis=-1)
     return Fixes(time=gnss.time - latency, p_geo=p_geo, R_p=R_p, v=v, R_v=R_v, slow=slow)
 
 

@@ -20,6 +20,7 @@ from georef_gis.navigate.dense import (
     compiled,
     copy_matrix,
     copy_row,
+    pack,
     product,
     product_t,
     sample_before,
@@ -272,58 +273,63 @@ def _update(
 
 
 @compiled
-def pack(P: Array, out: Array) -> None:
-    """Lower triangle by rows, into `out` (n (n + 1) / 2,)."""
-    k = 0
-    for i in range(len(P)):
-        for j in range(i + 1):
-            out[k] = P[i, j]
-            k += 1
+def _terms(
+    source: int, at: tuple[int, int], state: tuple[Array, Array], rate: tuple[float, float, float],
+    layout: IntArray, measured: tuple[Array, Array, Array, Array],
+) -> tuple[tuple[Array, Array], Array]:  # fmt: skip
+    """H and innovation of one of the five measurements at (node, fix), and the noise's covariance.
+
+    Positions, velocities, heading, height, airspeed: `source` 0 to 4.
+    """
+    nav, x = state
+    values, covariances, aids, arm = measured
+    if source < 2:
+        slow = layout[0] if source == 0 else -1
+        found = _gnss_terms(nav, x, values[source, at[1]], arm, rate, slow)
+        return found, covariances[source, at[1]]
+    z = aids[at[0], source - 2]
+    R = np.empty((1, 1))
+    R[0, 0] = z[1] * z[1]
+    return _aid_terms(source - 2, z[0], nav, x, layout[1], layout[2]), R
 
 
 @compiled
-def unpack(packed: Array, n: int) -> Array:
-    """Matrix of a packed lower triangle, (n, n)."""
-    P = np.empty((n, n))
-    k = 0
-    for i in range(n):
-        for j in range(i + 1):
-            P[i, j] = packed[k]
-            P[j, i] = packed[k]
-            k += 1
-    return P
+def _looseness(source: int, now: float, good: Array, patience: float) -> int:
+    """What becomes of a measurement beyond the gate, see `_update`."""
+    if source > 1:
+        return REFUSE
+    # a filter whose velocity agrees cannot be far astray: the positions are
+    if source == 0 and now - good[1] <= patience:
+        patience *= PATIENCE
+    return 3 * source if now - good[source] > patience else LESS
 
 
 @compiled
 def run_filter(
-    imu: Array, nodes: Array, jump: Array, fix: IntArray, layout: IntArray, model: Array,
-    gnss: tuple[Array, Array], aids: Array, arm: Array, options: Array,
-    nav: Array, x: Array, P: Array, out: tuple[Array, ...], chi: Array,
+    imu: Array, plan: tuple[Array, Array, IntArray], states: tuple[IntArray, Array],
+    measured: tuple[Array, Array, Array, Array], options: Array,
+    prior: tuple[Array, Array, Array], out: tuple[Array, ...], chi: Array,
 ) -> int:  # fmt: skip
-    """One forward pass; `nav`, `x`, `P` are the prior at the first node and are used up.
+    """One forward pass.
 
     Parameters
     ----------
     imu : shape (n, 7)
         Time s, rate rad/s, force m/s2.
-    nodes : shape (m,), s
-    jump : shape (m, 3)
-        Variance that enters position, velocity and attitude at a node (a gap of the IMU);
-        re-acquisition adds to it.
-    fix : shape (m,)
-        Row of `gnss` at a node, -1 for none.
-    layout : shape (4,)
-        First columns of the slow error, barometer and wind (0 = none) and of no use.
-    model : shape (2, n)
-        Density of noise and correlation time, see `step_noise`.
-    gnss
-        Positions (lat, lon, h) and velocities (2, k, 3), covariances (2, k, 3, 3); NaN = none.
-    aids : shape (m, 3, 2)
-        Value and sigma of heading, height and airspeed at a node; NaN = none.
-    arm : shape (3,), m
-        IMU to antenna, body.
+    plan
+        Nodes (m,) s; variance that enters position, velocity and attitude at each (m, 3), a gap
+        of the IMU, to which re-acquisition adds; row of the fixes at each, -1 for none.
+    states
+        Layout (4,): first columns of the slow error, barometer and wind (0 = none), and one of no
+        use; model (2, n): density of noise and correlation time, see `stepped`.
+    measured
+        Positions (lat, lon, h) and velocities (2, k, 3), their covariances (2, k, 3, 3); value and
+        sigma of heading, height and airspeed at each node (m, 3, 2); NaN = none. IMU to antenna,
+        body, (3,) m.
     options : shape (3,)
         Gate of three, gate of one degree of freedom, s of refusals before re-acquisition.
+    prior
+        nav (15,), x and P at the first node; used up.
     out
         prior nav (m, 15), prior x, nav (m, 15), x, packed P, A (m, 9, k): filled.
     chi : shape (m, 4)
@@ -335,6 +341,8 @@ def run_filter(
     int
         Number of nodes that were reached; less than m if the state became useless.
     """
+    nodes, jump, fix = plan
+    nav, x, P = prior
     prior_nav, prior_x, post_nav, post_x, packed, trans = out
     A, sample, good = np.zeros((9, trans.shape[2])), np.empty(6), np.empty(2)
     aux = x[: trans.shape[2] - 3]
@@ -347,7 +355,7 @@ def run_filter(
             reset_transition(A)
             index = propagate(imu, index, nodes[m - 1], now, nav, aux, A)
             copy_matrix(A, trans[m - 1])
-            Phi, P = stepped(P, A, now - nodes[m - 1], jump[m], model)
+            Phi, P = stepped(P, A, now - nodes[m - 1], jump[m], states[1])
             for i in range(len(x)):
                 x[i] *= Phi[9 + i, 9 + i]
             orthonormalise(nav[6:])
@@ -359,26 +367,13 @@ def run_filter(
         rate, j = corrected_rate(sample, aux), fix[m]
         for source in range(5):
             if source < 2:
-                if j < 0 or math.isnan(gnss[0][source, j, 0]):
+                if j < 0 or math.isnan(measured[0][source, j, 0]):
                     continue
-                slow, patience, gate = -1, options[2], options[0]
-                if source == 0:
-                    slow = layout[0]
-                    # a filter whose velocity agrees cannot be far astray: the positions are
-                    if now - good[1] <= patience:
-                        patience *= PATIENCE
-                terms = _gnss_terms(nav, x, gnss[0][source, j], arm, rate, slow)
-                R, loose = gnss[1][source, j], LESS
-                if now - good[source] > patience:
-                    loose = 3 * source
-            else:
-                z = aids[m, source - 2]
-                if math.isnan(z[0]):
-                    continue
-                terms = _aid_terms(source - 2, z[0], nav, x, layout[1], layout[2])
-                R, loose, gate = np.empty((1, 1)), REFUSE, options[1]
-                R[0, 0] = z[1] * z[1]
-            nis, ll, added = _update(P, nav, x, terms, R, gate, loose)
+            elif math.isnan(measured[2][m, source - 2, 0]):
+                continue
+            terms, R = _terms(source, (m, j), (nav, x), rate, states[0], measured)
+            loose = _looseness(source, now, good, options[2])
+            nis, ll, added = _update(P, nav, x, terms, R, options[min(source // 2, 1)], loose)
             if source < 2:
                 jump[m, source] += added
                 chi[m, source] = nis

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import zipfile
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from georef_gis.ellipsoid import Origin
-from georef_gis.errors import InputError
 from georef_gis.frames import R_ENU_FROM_NED_SAME_PLACE, Array, R_enu_from_ned, skew
 from georef_gis.model.logs import IntArray
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
@@ -23,8 +21,8 @@ from georef_gis.navigate.attitude_track import (
     refuse,
 )
 from georef_gis.navigate.kinematic_smoother import STATES, insert
+from georef_gis.project.columns_file import read_columns, write_columns
 
-_FORMAT = 1
 KIND = "kinematic"
 
 
@@ -219,21 +217,17 @@ class KinematicTrajectory:
 
     def save(self, path: Path) -> None:
         """Write everything into one ``.npz``, whole or not at all."""
-        columns = {name: getattr(self, name) for name in _COLUMNS}
+        columns: dict[str, object] = {name: getattr(self, name) for name in _COLUMNS}
         for name in ("notes", "doubts"):
             columns[name] = np.array(getattr(self, name), str)
         if self.track is not None:
-            for name in _TRACK:
-                columns["track_" + name] = getattr(self.track, name)
+            columns |= {"track_" + name: getattr(self.track, name) for name in _TRACK}
         columns["settings"] = np.array(
             [getattr(self.settings, name) for name in _NUMBERS]
             + [getattr(self.settings.attitude, item.name) for item in fields(AttitudeSettings)]
         )
         columns["arm"] = self._arm
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
-            np.savez(file, format=np.array(_FORMAT), kind=np.array(KIND), **columns)
-        part.replace(path)
+        write_columns(path, KIND, columns)
 
     @classmethod
     def load(cls, path: Path) -> KinematicTrajectory:
@@ -244,19 +238,7 @@ class KinematicTrajectory:
         InputError
             If the file is none, or of another kind or version.
         """
-        again = "run `georef navigate` again"
-        try:
-            # opened here: numpy leaves a file open that it cannot read
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-                columns = {name: held[name] for name in held.files}
-            kind = str(columns.pop("kind", "inertial"))
-            if kind != KIND:
-                raise InputError(f"holds a trajectory of kind {kind!r}; {again}", source=str(path))
-            if int(columns.pop("format")) != _FORMAT:
-                raise InputError(f"is of another version; {again}", source=str(path))
-            return _from_columns(columns)
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"is no trajectory ({error}); {again}", source=str(path)) from error
+        return _from_columns(read_columns(path, KIND))
 
 
 _COLUMNS = ("origin", "time", "prior", "post", "filtered", "jump", "smoothed", "covariance", "chi",

@@ -16,8 +16,16 @@ import numpy as np
 
 from georef_gis.frames import Array
 from georef_gis.model.logs import IntArray
-from georef_gis.navigate.dense import cholesky, compiled, product, product_t, solve_rows, symmetrise
-from georef_gis.navigate.kalman import pack, unpack
+from georef_gis.navigate.dense import (
+    cholesky,
+    compiled,
+    pack,
+    product,
+    product_t,
+    solve_rows,
+    symmetrise,
+    unpack,
+)
 from georef_gis.navigate.smoother import gain, smoothed_covariance
 
 STATES = 12

@@ -13,9 +13,11 @@ from georef_gis.errors import CrsError
 from georef_gis.frames import (
     Array,
     R_ned_from_body,
+    covariance_theta_ned_from_rpy,
     exp_so3,
     log_so3,
     rpy_from_R_ned_from_body,
+    sigma_rpy_from_covariance_theta_ned,
 )
 from georef_gis.geodesy import HeightKind, geoid_undulation
 from georef_gis.model.logs import (
@@ -30,26 +32,38 @@ from georef_gis.model.logs import (
 LONGEST_GAP = 1.0
 
 
-def ellipsoidal_heights(gnss: GnssLog) -> Array:
+def ellipsoidal_heights(
+    gnss: GnssLog, *, geoid: str = "egm96", unstated: HeightKind = HeightKind.UNKNOWN
+) -> Array:
     """Heights of fixes above the ellipsoid, m; by the receiver's own geoid where it states one.
+
+    Parameters
+    ----------
+    geoid
+        For a receiver that states no separation of its own.
+    unstated
+        What heights of unknown kind are taken for.
 
     Raises
     ------
     CrsError
         If the kind of the heights cannot be turned into ellipsoidal ones.
     """
-    if gnss.height_kind is HeightKind.ELLIPSOIDAL:
+    kind = unstated if gnss.height_kind is HeightKind.UNKNOWN else gnss.height_kind
+    if kind is HeightKind.ELLIPSOIDAL:
         return gnss.height
-    if gnss.height_kind is not HeightKind.ORTHOMETRIC:
+    if kind is not HeightKind.ORTHOMETRIC:
         raise CrsError(
-            f"{gnss.source or 'gnss'}: heights of kind '{gnss.height_kind}' have no ellipsoidal "
-            "value; state their kind (ellipsoidal or orthometric)",
+            f"{gnss.source or 'gnss'}: heights of kind '{kind}' have no ellipsoidal value; state "
+            "their kind (ellipsoidal or orthometric)",
             field="height",
         )
     known = np.isfinite(gnss.lat) & np.isfinite(gnss.lon)
-    geoid = geoid_undulation(np.where(known, gnss.lat, 0.0), np.where(known, gnss.lon, 0.0))
+    lat, lon = (np.where(known, angle, 0.0) for angle in (gnss.lat, gnss.lon))
+    # the receiver's own separation takes back exactly what it subtracted
     own = np.isfinite(gnss.geoid_separation)
-    return np.asarray(gnss.height + np.where(own, gnss.geoid_separation, geoid))
+    modelled = geoid_undulation(lat, lon, geoid=geoid)
+    return np.asarray(gnss.height + np.where(own, gnss.geoid_separation, modelled))
 
 
 def trajectory_of_gnss(gnss: GnssLog) -> TrajectoryLog:
@@ -68,7 +82,7 @@ def trajectory_of_attitude(attitude: AttitudeLog) -> TrajectoryLog:
     """Attitudes as a trajectory without positions."""
     n = len(attitude)
     covariance = unknown(n, 6, 6)
-    covariance[:, 3:, 3:] = covariance_of_rpy(attitude.rpy, attitude.sigma_rpy)
+    covariance[:, 3:, 3:] = covariance_theta_ned_from_rpy(attitude.rpy, attitude.sigma_rpy)
     return TrajectoryLog(
         time=attitude.time, scale=attitude.scale, source=attitude.source, doubts=attitude.doubts,
         lat=unknown(n), lon=unknown(n), height=unknown(n), v_ned=unknown(n, 3),
@@ -192,7 +206,7 @@ def _turned(rpy: Array, at: NDArray[np.int64], part: Array) -> Array:
         return np.full((len(at), 3), np.nan)
     a, b = R[at], R[at + 1]
     s = part[:, None]
-    turn = log_so3(transposed(a) @ b)
+    turn = log_so3(np.swapaxes(a, -1, -2) @ b)
     out = rpy_from_R_ned_from_body(a @ exp_so3(s * turn))
     return np.asarray(np.where(s <= 0.0, rpy[at], np.where(s >= 1.0, rpy[at + 1], out)))
 
@@ -202,30 +216,6 @@ def transposed(R: Array) -> Array:
     return np.swapaxes(R, -1, -2)
 
 
-def jacobians_theta_ned_from_rpy(rpy: Array) -> Array:
-    """`frames.jacobian_theta_ned_from_rpy` of many attitudes; (n, 3) rad -> (n, 3, 3)."""
-    pitch, yaw = rpy[:, 1], rpy[:, 2]
-    J = np.zeros((len(rpy), 3, 3))
-    J[:, 0, 0], J[:, 1, 0] = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
-    J[:, 2, 0] = -np.sin(pitch)
-    J[:, 0, 1], J[:, 1, 1] = -np.sin(yaw), np.cos(yaw)
-    J[:, 2, 2] = 1.0
-    return J
-
-
-def covariance_of_rpy(rpy: Array, sigma_rpy: Array) -> Array:
-    """Covariances of the rotation error in ned of independent sigmas, rad; (n, 3) -> (n, 3, 3)."""
-    J = jacobians_theta_ned_from_rpy(rpy) * sigma_rpy[:, None, :]
-    return np.asarray(J @ transposed(J))
-
-
 def sigma_rpy_of(log: TrajectoryLog) -> Array:
     """Sigmas of roll, pitch and yaw, rad; shape (n, 3), NaN where unknown or pitch is vertical."""
-    out = unknown(len(log), 3)
-    known = np.all(np.isfinite(log.covariance[:, 3:, 3:]), axis=(1, 2))
-    known &= np.abs(np.cos(log.rpy[:, 1])) > 1e-6
-    if np.any(known):
-        back = np.asarray(np.linalg.inv(jacobians_theta_ned_from_rpy(log.rpy[known])), np.float64)
-        own = back @ log.covariance[known, 3:, 3:] @ transposed(back)
-        out[known] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
-    return out
+    return sigma_rpy_from_covariance_theta_ned(log.rpy, log.covariance[:, 3:, 3:])

@@ -268,6 +268,42 @@ def _forward_only(
 
 
 @_compiled
+def _room(first: IntArray, last: IntArray) -> int:
+    """Number of pairs within the band."""
+    count = 0
+    for i in range(len(first)):
+        count += max(0, last[i] - first[i] + 1)
+    return count
+
+
+@_compiled
+def _passed_over(step: Array, ahead: Array, kind: int, here: Array, arrived: Array) -> float:
+    """Weight of leaving a node by passing over a row or column; added to its backward sums.
+
+    `kind` is the first state of its kind, `ahead` holds the backward sums of the next node,
+    `arrived` the forward weights of this one.
+    """
+    through = 0.0
+    for k in range(STATES):
+        s = 0.0
+        for q in range(kind, kind + 3):
+            s += step[k, q] * ahead[q]
+        here[k] += s
+        through += arrived[k] * s
+    return through
+
+
+@_compiled
+def _paired(step: Array, pair: float, here: Array, arrived: Array) -> float:
+    """Weight of leaving a node by a pair, whose sums ahead are `pair`; added to its own."""
+    direct = 0.0
+    for k in range(STATES):
+        here[k] += step[k, PAIR] * pair
+        direct += arrived[k] * step[k, PAIR] * pair
+    return direct
+
+
+@_compiled
 def _pairs(
     rows: Array, row_key: IntArray, columns: Array, column_key: IntArray, step: Array,
     end: Array, clock: Array,
@@ -278,9 +314,7 @@ def _pairs(
     evidence, f, at, left, right = _forward(
         rows, row_key, columns, column_key, step, end, clock
     )  # fmt: skip
-    count = 0
-    for i in range(n):
-        count += max(0, last[i] - first[i] + 1)
+    count = _room(first, last)
     row, column = np.empty(count, np.int64), np.empty(count, np.int64)
     found, weight = np.zeros(count), np.zeros(count)
     k_out = 0
@@ -288,8 +322,7 @@ def _pairs(
         return row[:0], column[:0], found[:0], weight[:0]
     below = np.zeros((1, STATES))
     for i in range(n, -1, -1):
-        width = right[i] - left[i] + 1
-        b = np.zeros((width, STATES))
+        b = np.zeros((right[i] - left[i] + 1, STATES))
         start_out, passed = k_out, 0.0
         for j in range(right[i], left[i] - 1, -1):
             here, arrived = b[j - left[i]], f[at[i] + j - left[i]]
@@ -298,26 +331,15 @@ def _pairs(
                 continue
             pair = w = 0.0
             if i < n:
-                right_below = right[i + 1]
-                if first[i] <= j <= last[i] and left[i + 1] <= j + 1 <= right_below:
+                ahead = j - left[i + 1]
+                if first[i] <= j <= last[i] and left[i + 1] <= j + 1 <= right[i + 1]:
                     w = _weight(i, j, rows, row_key, columns, column_key, clock)
-                    pair = w * below[j + 1 - left[i + 1], PAIR]
-                through = 0.0
-                if left[i + 1] <= j <= right_below:
-                    for k in range(STATES):
-                        s = 0.0
-                        for q in range(1, 4):
-                            s += step[k, q] * below[j - left[i + 1], q]
-                        here[k] += s
-                        through += arrived[k] * s
-                passed += through
-            direct = 0.0
-            for k in range(STATES):
-                here[k] += step[k, PAIR] * pair
-                direct += arrived[k] * step[k, PAIR] * pair
-                if j < right[i]:
-                    for q in range(4, 7):
-                        here[k] += step[k, q] * b[j + 1 - left[i], q]
+                    pair = w * below[ahead + 1, PAIR]
+                if left[i + 1] <= j <= right[i + 1]:
+                    passed += _passed_over(step, below[ahead], 1, here, arrived)
+            direct = _paired(step, pair, here, arrived)
+            if j < right[i]:
+                _passed_over(step, b[j + 1 - left[i]], 4, here, arrived)
             if direct > 0.0:
                 row[k_out], column[k_out] = i, j
                 found[k_out], weight[k_out] = direct, w

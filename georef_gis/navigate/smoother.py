@@ -18,20 +18,20 @@ from georef_gis.navigate.dense import (
     cholesky,
     compiled,
     copy_row,
+    pack,
     product,
     product_t,
     sample_before,
     solve_columns,
     symmetrise,
     transposed,
+    unpack,
 )
 from georef_gis.navigate.inertial import propagate, reset_transition
 from georef_gis.navigate.kalman import (
     difference,
     inject,
-    pack,
     stepped,
-    unpack,
 )
 
 

@@ -15,8 +15,8 @@ from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, R_ned_from_body
 from georef_gis.model.logs import TrajectoryLog
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
-from georef_gis.navigate.columns_file import read_columns, write_columns
 from georef_gis.navigate.resample import at_times
+from georef_gis.project.columns_file import read_columns, write_columns
 
 KIND = "table"
 # s without rows that is not bridged

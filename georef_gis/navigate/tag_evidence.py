@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from georef_gis.frames import Array
-from georef_gis.navigate.exposures import ExposureTimes
+from georef_gis.navigate.exposure_values import ExposureTimes
 
 # s, one sigma: autopilots tag the last fix, which is up to a fix old, or one to come
 TAG_AGE = 0.15

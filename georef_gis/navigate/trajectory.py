@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from georef_gis.errors import NavigationError
 from georef_gis.frames import Array
 from georef_gis.model.trajectory import StateChain, TrajectoryStates
-from georef_gis.navigate.columns_file import read_columns, write_columns
 from georef_gis.navigate.smoother import chain_at, states_at
+from georef_gis.project.columns_file import read_columns, write_columns
 
 # order of the errors in a chain: position, attitude, then velocity and the rest
 _POSE_FIRST = (0, 1, 2, 6, 7, 8, 3, 4, 5)

@@ -95,6 +95,8 @@ class CompareTrajectory(Algorithm[CompareTrajectoryParameters]):
         feedback.progress(0.6, "compared")
         check_cancelled(feedback)
         told = summary(comparison)
+        # the table was told above; a face would tell it again, figure by figure
+        brief = {key: value for key, value in told.items() if key != "statistics"}
         outputs: dict[str, Path] = {}
         if parameters.target is not None:
             files = _pictures(comparison, parameters)
@@ -108,7 +110,7 @@ class CompareTrajectory(Algorithm[CompareTrajectoryParameters]):
                 "summary": parameters.target / SUMMARY,
             }
         feedback.progress(1.0, "written" if outputs else "done")
-        return Result(outputs=outputs, summary=told)
+        return Result(outputs=outputs, summary=brief)
 
 
 def _load(path: Path) -> TrajectoryLog:

@@ -191,11 +191,18 @@ def load_trajectory(project: Project) -> Trajectory:
     Raises
     ------
     InputError
-        If there is none.
+        If there is none, or it cannot be read.
     """
-    from georef_gis.navigate.columns_file import kind_of
+    from georef_gis.errors import InputError
+    from georef_gis.project.columns_file import kind_of
 
     path = project.navigation / TRAJECTORY
+    if not path.exists():
+        raise InputError(
+            "has no trajectory: no log is named in [logs], or none could be used; "
+            f"`georef navigate --strict --project {project.folder}` says why",
+            source=str(project.folder),
+        )
     kind = kind_of(path)
     if kind == "inertial":
         from georef_gis.navigate.trajectory import InertialTrajectory

@@ -23,6 +23,8 @@ GRID = 0.25
 LONGEST_ZONE = 1.5 * 86400.0
 # an offset less sure than this is a guess
 GUESS = 0.5
+# s; self-timers and slow autofocus included, no camera takes longer from trigger to exposure
+LONGEST_LAG = 10.0
 # m, one sigma of a tagged position where the tag states none
 SIGMA_TAG = 3.0
 
@@ -62,7 +64,7 @@ def match_flight(scene: Scene, photos: Sequence[Photo]) -> tuple[ExposureTimes, 
     Raises
     ------
     InputError
-        If neither events, nor tags, nor positions tell of the times.
+        If neither events, nor tags, nor positions tell of the times, or a setting is out of range.
     """
     import numpy as np
 
@@ -119,9 +121,17 @@ def _clock(photo: Photo, epoch: float) -> PhotoClock:
 
 
 def _options(scene: Scene) -> MatchOptions:
+    from georef_gis.errors import InputError
     from georef_gis.navigate.exposures import MatchOptions
 
     logs = scene.settings
+    if not abs(logs.shutter_lag_s) <= LONGEST_LAG:
+        raise InputError(
+            f"{logs.shutter_lag_s:g} s is longer than any shutter takes ({LONGEST_LAG:g} s); give "
+            "seconds from the noted event to the exposure",
+            source="project.toml",
+            field="logs.shutter_lag_s",
+        )
     return MatchOptions(
         offset=logs.camera_clock_offset_s,
         offset_sigma=logs.sigma_camera_clock_s,

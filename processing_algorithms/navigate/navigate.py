@@ -93,20 +93,24 @@ class Navigate(Algorithm[NavigateParameters]):
 
 def _forget(project: Project) -> None:
     """Drop what an earlier run made: its logs are gone or cannot be used."""
-    from processing_algorithms.navigate.flight import TABLE, TRAJECTORY
+    from processing_algorithms.navigate.flight import PLOTS, TABLE, TRAJECTORY
+    from processing_algorithms.navigate.pictures import forget_pictures
 
     for name in (TRAJECTORY, TABLE):
         (project.navigation / name).unlink(missing_ok=True)
+    forget_pictures(project.navigation / PLOTS)
 
 
 def _navigate(
     project: Project, parameters: NavigateParameters, feedback: Feedback
 ) -> tuple[dict[str, Path], dict[str, Any]]:
     from georef_gis.toolbox.context import check_cancelled
+    from processing_algorithms.navigate.exposure_inputs import keep_events
     from processing_algorithms.navigate.flight import MAPS, TRAJECTORY, read_project_logs, words
 
     feedback.progress(0.05, "reading logs")
     logs = read_project_logs(project, parameters.map, strict=parameters.strict)
+    keep_events(project, parameters.map, logs)
     check_cancelled(feedback)
     feedback.progress(0.3, "filtering")
     trajectory, notes = _trajectory(project, logs)
@@ -137,7 +141,7 @@ def _tell(
     """Table for people and other programs, and the pictures where they are asked for."""
     from georef_gis.ingest.logs.trajectory_table import write_trajectory_table
     from processing_algorithms.navigate.flight import PLOTS, TABLE, trajectory_log
-    from processing_algorithms.navigate.pictures import write_pictures
+    from processing_algorithms.navigate.pictures import forget_pictures, write_pictures
 
     log = trajectory_log(trajectory)
     table = project.navigation / TABLE
@@ -145,9 +149,10 @@ def _tell(
     with part.open("wb") as stream:
         write_trajectory_table(stream, log)
     part.replace(table)
-    if not plots:
-        return {"table": table}
     folder = project.navigation / PLOTS
+    # pictures that are there are asked for, too: they would else be those of an older trajectory
+    if not (forget_pictures(folder) or plots):
+        return {"table": table}
     write_pictures(folder, log, logs, trajectory)
     return {"table": table, "plots": folder}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,16 +24,12 @@ if TYPE_CHECKING:
 
 # a photo whose event is less sure than this is doubtful
 SURE = 0.99
-# and one that is less likely than this has a sigma that covers the neighbouring event
-LIKELY = 0.95
 # and an event that is less likely than this is worse than the photo's own tags
 UNLIKELY = 0.8
 # and a time by a clock as unlikely as this is a guess
 GUESSED = 0.5
 # of a height above ground that somebody states: its one sigma
 ABOVE_SHARE = 0.1
-# of several kinds of events the first that there is
-EVENT_KINDS = ("sync_board", "feedback", "trigger")
 
 
 class OrientNavigation(Algorithm[p.Parameters]):
@@ -125,10 +121,11 @@ class _Work:
     def of(cls, project: Project, trajectory: Trajectory) -> _Work:
         """Read what is needed."""
         from georef_gis.project.records import load_frame, photo_of, pose_of
+        from processing_algorithms.navigate.exposure_inputs import events_to_match, with_tag_time
 
         database = project.database
         rows = database.rows("photo")
-        photos = [_with_tag_time(photo_of(row), row) for row in rows]
+        photos = [with_tag_time(photo_of(row), row) for row in rows]
         poses = database.rows("pose", {"kind": "tags"})
         epoch = database.meta("epoch")
         return cls(
@@ -139,16 +136,18 @@ class _Work:
             tags={row["photo_id"]: pose_of(row) for row in poses},
             turned={r["photo_id"]: int((r["extra"] or {}).get("turned_deg", 0)) for r in poses},
             epoch=float(epoch) if epoch is not None else float(int(trajectory.span[0])),
-            events=_events(project, len(photos)),
+            events=events_to_match(project, len(photos)),
             times={}, poses={}, doubts={}, flights_found={}, joint=[], notes=[],
         )  # fmt: skip
 
     def flights(self) -> list[list[Photo]]:
         """Photos of each flight in the order of exposure."""
+        from processing_algorithms.navigate.exposure_inputs import order_of_exposure
+
         by_id: dict[str, list[Photo]] = {}
         for photo in self.photos:
             by_id.setdefault(photo.flight_id, []).append(photo)
-        return [sorted(group, key=_order) for _, group in sorted(by_id.items())]
+        return [sorted(group, key=order_of_exposure) for _, group in sorted(by_id.items())]
 
     def orient(self, photos: list[Photo]) -> list[str]:
         """Times and poses of one flight; what is doubtful, in words."""
@@ -212,13 +211,12 @@ class _Work:
         }
 
     def _pose(self, photos: list[Photo], found: ExposureTimes, usable: list[int]) -> list[str]:
-
         from georef_gis.navigate.exposure_poses import exposure_poses
+        from processing_algorithms.navigate.exposure_inputs import time_variance
         from processing_algorithms.navigate.flight import project_mount
         from processing_algorithms.navigate.pose_checks import (
             astray,
             height_shift,
-            levelled,
             mount_difference,
         )
 
@@ -228,7 +226,7 @@ class _Work:
         mount = project_mount(self.project)
         held = self._held(ids, times, mount)
         result = exposure_poses(
-            self.trajectory, ids, times, _time_variance(found, order), mount, self.frame.origin,
+            self.trajectory, ids, times, time_variance(found, order), mount, self.frame.origin,
             sigma_datum=self.frame.datum_sigma, held=held,
         )  # fmt: skip
         if line := astray(result, self.tags):
@@ -244,17 +242,7 @@ class _Work:
         shift, line = height_shift(result, self.tags, self.project.settings.ground)
         if line:
             lines.append(line)
-        for name, pose, i in zip(ids, result.poses, order, strict=True):
-            # the angles of the tags hold the turn of the pixels already
-            own = held[ids.index(name)] is None
-            turned = math.radians(self.turned.get(name, 0)) if own else 0.0
-            level = levelled(pose, shift, self.tags.get(name))
-            self.poses[name] = replace(level, R_enu_from_cam=_spun(level.R_enu_from_cam, -turned))
-            confidence = float(found.confidence[i])
-            if confidence < SURE:
-                self.doubts.setdefault(name, []).append(
-                    f"its exposure is matched with a confidence of {100 * confidence:.0f} % only"
-                )
+        self._keep(result, held, found.confidence[order], shift)
         unsure = sum(float(found.confidence[i]) < SURE for i in order)
         if unsure:
             lines.append(f"{unsure} of {len(order)} exposure times are less than 99 % sure")
@@ -262,6 +250,24 @@ class _Work:
             said = {photo.id for photo in self.photos if photo.attitude is not None}
             lines += mount_difference(self.poses, self.tags, said)
         return lines
+
+    def _keep(
+        self, result: ExposurePoses, held: Sequence[Pose | None], confidence: Array, shift: float
+    ) -> None:
+        """Take poses over, on the level of the ground and for the pixels as they are read."""
+        from processing_algorithms.navigate.pose_checks import levelled
+
+        for name, pose, tagged, sure in zip(
+            result.ids, result.poses, held, confidence, strict=True
+        ):
+            # the angles of the tags hold the turn of the pixels already
+            turned = math.radians(self.turned.get(name, 0)) if tagged is None else 0.0
+            level = levelled(pose, shift, self.tags.get(name))
+            self.poses[name] = replace(level, R_enu_from_cam=_spun(level.R_enu_from_cam, -turned))
+            if sure < SURE:
+                self.doubts.setdefault(name, []).append(
+                    f"its exposure is matched with a confidence of {100 * float(sure):.0f} % only"
+                )
 
     def _held(self, ids: Sequence[str], times: Array, mount: Mount) -> list[Pose | None]:
         """Poses of the tags whose angles are to be kept: a gimbal's, or surer ones."""
@@ -354,33 +360,6 @@ class _Work:
             database.update("photo", row["fid"], tags=tags, **columns)
 
 
-def _with_tag_time(photo: Photo, row: Mapping[str, Any]) -> Photo:
-    """Photo with the time of its own tags, whatever an earlier run found."""
-    before = (row["tags"] or {}).get("tag_time")
-    if before is None:
-        return photo
-    return replace(
-        photo,
-        time_gps=before["time_gps"],
-        time_sigma=before["time_sigma_s"],
-        time_source=before["time_source"] or "",
-        match_confidence=None,
-    )
-
-
-def _order(photo: Photo) -> tuple[Any, ...]:
-    from datetime import datetime
-
-    from georef_gis.navigate.exposures import file_number
-
-    return (
-        photo.camera_clock or datetime.max,
-        photo.time_gps if photo.time_gps is not None else math.inf,
-        file_number(photo.path.name) or 0,
-        photo.id,
-    )
-
-
 def _spun(R_enu_from_cam: Array, angle: float) -> Array:
     """Rotation of a camera whose pixels were turned after the exposure."""
     import numpy as np
@@ -388,47 +367,3 @@ def _spun(R_enu_from_cam: Array, angle: float) -> Array:
     from georef_gis.frames import exp_so3
 
     return np.asarray(R_enu_from_cam @ exp_so3([0.0, 0.0, angle]))
-
-
-def _time_variance(found: ExposureTimes, order: Sequence[int]) -> Array:
-    """Variance of the exposure times, s^2, in order of time; a doubtful match may be one off.
-
-    A match that is nearly sure keeps its own sigma: a chance of one in a hundred of a gross error
-    belongs into its confidence, not into a sigma that would hide how good the others are.
-    """
-    import numpy as np
-
-    chosen = list(order)
-    steps = np.diff(found.time[chosen])
-    usual = float(np.median(steps)) if len(steps) else 1.0
-    # an event may be its neighbour's, across a turn too; a clock is off by less than an interval
-    widest = np.maximum(np.append(steps, usual), np.insert(steps, 0, usual))
-    interval = np.where(found.event[chosen] >= 0, widest, usual)
-    confidence = found.confidence[chosen]
-    doubt = np.where(confidence < LIKELY, 1.0 - confidence, 0.0)
-    return np.asarray(found.sigma[chosen] ** 2 + doubt * interval**2)
-
-
-def _events(project: Project, photos: int) -> EventLog | None:
-    """The events to match: of the file that [logs] sync names, else the best kind there is."""
-    from processing_algorithms.navigate.flight import MAPS, read_project_logs
-
-    logs = read_project_logs(project, project.database.meta(MAPS) or ())
-    named = project.settings.logs.sync
-    clocks = [log.scale for log in (logs.gnss, logs.imu, logs.trajectory) if log is not None]
-    # a device that counts from its own start cannot be laid on a trajectory of GPS time
-    scale = clocks[0] if clocks else "gps"
-    candidates = [e for e in logs.events if len(e) > 0 and e.scale == scale]
-    if named is not None:
-        path = str(project.path(named))
-        own = [events for events in candidates if events.source.startswith(path)]
-        candidates = own or candidates
-    if not candidates:
-        return None
-    return min(
-        candidates,
-        key=lambda e: (
-            EVENT_KINDS.index(e.kind) if e.kind in EVENT_KINDS else len(EVENT_KINDS),
-            abs(len(e) - photos),
-        ),
-    )

@@ -9,24 +9,41 @@ if TYPE_CHECKING:
     from georef_gis.model.logs import FlightLogs, TrajectoryLog
     from georef_gis.model.trajectory import Trajectory
 
+# names of all pictures, in the order in which they are written
+NAMES = ("attitude.png", "position.png", "innovations.png")
+
+
+def forget_pictures(folder: Path) -> bool:
+    """Remove the pictures of an earlier trajectory, and the folder where nothing else is in it.
+
+    Returns
+    -------
+    bool
+        Whether there were any.
+    """
+    old = [folder / name for name in NAMES if (folder / name).exists()]
+    for path in old:
+        path.unlink()
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+    return bool(old)
+
 
 def write_pictures(
     folder: Path, log: TrajectoryLog, logs: FlightLogs, trajectory: Trajectory
 ) -> list[Path]:
     """Write the pictures of a flight into a folder and give their paths."""
-    from georef_gis.navigate.plots import png, position_figure, single_attitude_figure
+    from georef_gis.navigate.plot_parts import png
+    from georef_gis.navigate.plots import position_figure, single_attitude_figure
     from georef_gis.navigate.resample import in_order, trajectory_of_gnss
 
     series = {"smoothed": log}
     if logs.gnss is not None:
         series = {"raw fixes": in_order(trajectory_of_gnss(logs.gnss)), **series}
-    pictures = {
-        "attitude.png": png(single_attitude_figure(log)),
-        "position.png": png(position_figure(series)),
-    }
-    score = _innovations(trajectory)
-    if score is not None:
-        pictures["innovations.png"] = score
+    drawn = (
+        png(single_attitude_figure(log)), png(position_figure(series)), _innovations(trajectory),
+    )  # fmt: skip
+    pictures = {name: data for name, data in zip(NAMES, drawn, strict=True) if data is not None}
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, data in pictures.items():
@@ -39,7 +56,8 @@ def write_pictures(
 
 def _innovations(trajectory: Any) -> bytes | None:
     """Normalised innovations of an inertial trajectory; None for the other kinds."""
-    from georef_gis.navigate.plots import nis_figure, png
+    from georef_gis.navigate.plot_parts import png
+    from georef_gis.navigate.plots import nis_figure
     from georef_gis.navigate.trajectory import InertialTrajectory
 
     if not isinstance(trajectory, InertialTrajectory):

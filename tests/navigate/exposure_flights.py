@@ -33,8 +33,8 @@ from georef_gis.simulate.ellipsoid import (
     rotation_ecef_from_ned,
 )
 from georef_gis.simulate.flight import NOMINAL_BODY_FROM_CAM
+from processing_algorithms.navigate.exposure_inputs import time_variance
 from processing_algorithms.navigate.matching import Scene, match_flight
-from processing_algorithms.navigate.orient import _time_variance
 
 # m/s and rad: the IMU's sheet of benchmarks/navigation.py
 SHEET = {"gyro_bias": math.radians(100.0) / 3600.0, "accel_bias": 0.03, "scale": 0.0,
@@ -81,7 +81,7 @@ def flown(settings: FlightSettings, seed: int, **imu: float) -> FlightErrors:
     assert len(inside) == len(photos)
     poses = exposure_poses(
         trajectory, [photos[i].id for i in inside], found.time[inside],
-        _time_variance(found, inside), mount_of(flight), origin,
+        time_variance(found, inside), mount_of(flight), origin,
     )  # fmt: skip
     return _judged(flight, poses, inside, found)
 

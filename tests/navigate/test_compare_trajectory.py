@@ -18,9 +18,11 @@ from georef_gis.ellipsoid import Origin
 from georef_gis.errors import Cancelled, ExportError, GeorefError, InputError
 from georef_gis.frames import (
     R_ned_from_body,
+    covariance_theta_ned_from_rpy,
     exp_so3,
     jacobian_theta_ned_from_rpy,
     rpy_from_R_ned_from_body,
+    sigma_rpy_from_covariance_theta_ned,
 )
 from georef_gis.geodesy import HeightKind
 from georef_gis.ingest.logs.trajectory_table import (
@@ -54,7 +56,6 @@ from georef_gis.navigate.plots import (
 )
 from georef_gis.navigate.resample import (
     at_times,
-    jacobians_theta_ned_from_rpy,
     trajectory_of_attitude,
     trajectory_of_gnss,
 )
@@ -271,10 +272,18 @@ def test_errors_drawn_from_the_covariance_have_unit_nees_and_ratio() -> None:
             assert row.ratio == pytest.approx(1.0, abs=0.06), row
 
 
-def test_jacobian_of_angles_is_that_of_frames() -> None:
-    rpy = np.random.default_rng(10).uniform(-1.4, 1.4, (20, 3))
-    wanted = [jacobian_theta_ned_from_rpy(*row) for row in rpy]
-    np.testing.assert_allclose(jacobians_theta_ned_from_rpy(rpy), wanted, atol=1e-14)
+def test_sigmas_of_many_attitudes_are_those_of_each() -> None:
+    rng = np.random.default_rng(10)
+    rpy, sigma = rng.uniform(-1.4, 1.4, (20, 3)), rng.uniform(0.01, 0.1, (20, 3))
+    covariance = covariance_theta_ned_from_rpy(rpy, sigma)
+    for angles, s, C in zip(rpy, sigma, covariance, strict=True):
+        J = jacobian_theta_ned_from_rpy(*angles)
+        np.testing.assert_allclose(C, J @ np.diag(s**2) @ J.T, atol=1e-15)
+    np.testing.assert_allclose(sigma_rpy_from_covariance_theta_ned(rpy, covariance), sigma)
+    rpy[3, 1], covariance[5] = math.pi / 2.0, np.nan
+    back = sigma_rpy_from_covariance_theta_ned(rpy, covariance)
+    assert np.isnan(back[[3, 5]]).all()
+    np.testing.assert_allclose(np.delete(back, [3, 5], axis=0), np.delete(sigma, [3, 5], axis=0))
 
 
 def test_turns_and_straights_are_told_apart() -> None:
@@ -376,8 +385,8 @@ def test_table_gives_back_what_was_written_over_a_week_boundary(tmp_path: Path) 
     log = path(START + 80.0 + np.arange(600) / 13.0)
     covariance = np.zeros((600, 6, 6))
     covariance[:, :3, :3] = np.diag([0.01, 0.04, 0.09])
-    J = jacobians_theta_ned_from_rpy(log.rpy) * np.array([0.01, 0.02, 0.03])
-    covariance[:, 3:, 3:] = J @ np.swapaxes(J, -1, -2)
+    sigma = np.tile([0.01, 0.02, 0.03], (600, 1))
+    covariance[:, 3:, 3:] = covariance_theta_ned_from_rpy(log.rpy, sigma)
     log = replace(log, covariance=covariance, position_of="antenna")
     file = tmp_path / "path.csv"
     file.write_bytes(as_csv(log))
@@ -534,6 +543,16 @@ def test_innovations_are_drawn_with_their_bands() -> None:
     assert figure.axes[3].get_ylabel() == "NIS/dof (-)"
 
 
+def test_tool_tells_its_statistics_once(files: tuple[Path, Path]) -> None:
+    """As a table: a face tells the figures of a summary one by one, here some 300."""
+    feedback = CollectingFeedback()
+    parameters = CompareTrajectoryParameters(estimate=files[0], reference=files[1])
+    told = CompareTrajectory().run(Context(), parameters, feedback).summary
+    assert sum(line.split()[:2] == ["all", "north"] for line in feedback.infos) == 1
+    assert "statistics" not in told
+    assert told["rows"] > 100
+
+
 def run_tool(feedback: CollectingFeedback, **given: object) -> dict[str, Path]:
     parameters = CompareTrajectoryParameters(**given)
     return dict(CompareTrajectory().run(Context(), parameters, feedback).outputs)
@@ -559,6 +578,7 @@ def test_tool_tells_the_table_and_writes_the_folder(
     ]  # fmt: skip
     told = json.loads(outputs["summary"].read_text())
     assert told["nees_position_over_3"] == pytest.approx(1.0, abs=0.15)
+    assert {row["part"] for row in told["statistics"]} == {"all", "straight", "turns"}
     with outputs["table"].open(encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     north = next(row for row in rows if row["quantity"] == "north" and row["part"] == "all")

@@ -77,6 +77,17 @@ def test_the_users_offset_goes_before_everything() -> None:
     assert set(found.source) == {"clock"}
 
 
+def test_the_users_offset_is_against_utc_not_gps() -> None:
+    """A clock that shows UTC to the second has the offset 0, though GPS was 16 s ahead in 2013."""
+    utc = datetime(2013, 6, 4, 12, 0, 5)
+    photos = [PhotoClock(name="A", clock=clock_seconds(utc))]
+    found = match_exposures(photos, None, MatchOptions(offset=0.0, offset_sigma=0.1))
+    # seconds since 1980-01-06 without leap seconds, and the 16 inserted by then; the half second
+    # is the middle of a reading that is cut to whole ones
+    passed = (utc - datetime(1980, 1, 6)).total_seconds()
+    assert found.time[0] == pytest.approx(passed + 16.0 + 0.5, abs=1e-6)
+
+
 def test_an_exact_tag_is_better_than_the_clock() -> None:
     photos = [
         PhotoClock(name=str(i), clock=START + 7200 + 4 * i, time_gps=START + 4.3 * i,

@@ -5,10 +5,10 @@ import pytest
 from navigation_flights import drawn, logs_of, truth_at
 
 from georef_gis.frames import Array, exp_so3
-from georef_gis.navigate.dense import cholesky, solve_rows
+from georef_gis.navigate.dense import cholesky, pack, solve_rows, unpack
 from georef_gis.navigate.filter_pass import imu_table
 from georef_gis.navigate.inertial import advance, gravity, nav_of, propagate, reset_transition
-from georef_gis.navigate.kalman import difference, inject, pack, unpack
+from georef_gis.navigate.kalman import difference, inject
 
 RNG = np.random.default_rng(7)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from georef_gis.frames import Array
-from georef_gis.navigate.kalman import unpack
+from georef_gis.navigate.dense import unpack
 from georef_gis.navigate.kinematic_smoother import (
     PACKED,
     STATES,

@@ -351,8 +351,8 @@ def test_a_saved_trajectory_comes_back_and_others_are_refused(tmp_path: Path) ->
     broken.write_bytes(path.read_bytes()[:5000])
     other = tmp_path / "other.npz"
     np.savez(other, format=np.array(1), kind=np.array("table"))
-    for bad, word in ((broken, "is no trajectory"), (other, "kind 'table'"),
-                      (tmp_path / "none.npz", "is no trajectory")):  # fmt: skip
+    for bad, word in ((broken, "holds no columns of ours"), (other, "holds 'table'"),
+                      (tmp_path / "none.npz", "holds no columns of ours")):  # fmt: skip
         with pytest.raises(InputError, match=word):
             KinematicTrajectory.load(bad)
 

@@ -13,10 +13,11 @@ from navigation_flights import drawn, errors_at, logs_of, settings_of, smoothed
 
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
+from georef_gis.navigate.dense import unpack
 from georef_gis.navigate.gnss_noise import Fixes, prepare_fixes
 from georef_gis.navigate.inertial import propagate
 from georef_gis.navigate.inertial_solution import smooth_flight
-from georef_gis.navigate.kalman import difference, unpack
+from georef_gis.navigate.kalman import difference
 from georef_gis.navigate.settings import ImuNoise, NavigationSettings
 from georef_gis.navigate.trajectory import InertialTrajectory
 from georef_gis.simulate import SimulatedFlight

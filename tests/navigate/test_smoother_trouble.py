@@ -353,20 +353,26 @@ def test_flight_behind_a_long_wait_is_as_good_as_any() -> None:
     assert np.sqrt(np.mean(ratio**2)) < 1.6
 
 
-def test_aids_of_any_zero_and_wrong_ones_do_no_harm(usual: InertialTrajectory) -> None:
+def test_compass_that_is_a_right_angle_off_is_refused(usual: InertialTrajectory) -> None:
     log, gnss = logs_of(SURVEY)
     time = log.time[::10]
-    n = len(time)
-    p = np.interp(time, gnss.time, gnss.height)
-    baro = AidLog(kind="baro_height", time=time, value=p - 812.0, sigma=np.full(n, 1.0))
-    # a compass that is a right angle off is refused, not followed
-    yaw = SURVEY.path.rpy(time - SURVEY.start_gps)[:, 2] + math.pi / 2.0
-    compass = AidLog(kind="heading", time=time, value=yaw, sigma=np.full(n, 0.02))
-    trajectory = smooth_flight(log, prepare_fixes(gnss), settings_of(SURVEY), [baro, compass])
-    times = spread(trajectory, 5.0)
-    error, _, ratio = ratios(SURVEY, trajectory, times)
+    yaw = SURVEY.path.rpy(time - SURVEY.start_gps)[:, 2]
+    sigma = np.full(len(time), 0.02)
+    times = spread(usual, 5.0)
+    before = np.abs(errors_at(SURVEY, usual, times)[:, 5])
+    wrong, right = (
+        smooth_flight(
+            log, prepare_fixes(gnss), settings_of(SURVEY),
+            [AidLog(kind="heading", time=time, value=yaw + off, sigma=sigma)],
+        )
+        for off in (math.pi / 2.0, 0.0)
+    )  # fmt: skip
+    error, _, ratio = ratios(SURVEY, wrong, times)
+    # as if there were none: 0.1 deg
+    assert np.abs(np.abs(error[:, 5]) - before).max() < math.radians(0.1)
     assert np.sqrt(np.mean(ratio[:, :3] ** 2)) < 1.6
-    assert np.degrees(np.abs(error[:, 3:]).max()) < 3.0
+    # while one that is right is followed
+    assert np.abs(errors_at(SURVEY, right, times)[:, 5]).max() < 0.5 * before.max()
 
 
 def test_a_true_heading_helps_where_the_flight_shows_none() -> None:

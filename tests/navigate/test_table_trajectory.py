@@ -133,7 +133,7 @@ def test_file_gives_the_trajectory_back(tmp_path: Path) -> None:
     for name in ("p_geo", "v_ned", "R_ned_from_body", "covariance"):
         assert np.array_equal(getattr(again.at(time), name), getattr(table.at(time), name)), name
     (tmp_path / "trajectory.npz").write_bytes((tmp_path / "trajectory.npz").read_bytes()[:1000])
-    with pytest.raises(InputError, match="holds no trajectory"):
+    with pytest.raises(InputError, match="holds no columns of ours"):
         TableTrajectory.load(tmp_path / "trajectory.npz")
 
 

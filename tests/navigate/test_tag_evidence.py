@@ -119,3 +119,25 @@ def test_standing_vehicle_tells_nothing() -> None:
     given = found([START + 10.0], [0], confidence=0.7)
     out = with_tagged_places(given, EVENTS, np.array([[50.0, 0.0]]), np.array([2.0]), parked)
     assert out.confidence[0] == 0.7
+
+
+@pytest.mark.parametrize(
+    "extra", [[10.0], [10.0, 10.004], [math.nan]], ids=["twice", "thrice", "no time"]
+)
+def test_event_line_noted_twice_or_without_time_does_not_lower_a_confidence(
+    extra: list[float],
+) -> None:
+    """Neither is another event that the photo might be of."""
+    places = [200.0]
+    plain = judged(found([START + 10.0], [0]), EVENTS, places)
+    noted = np.concatenate([EVENTS, START + np.array(extra)])
+    out = judged(found([START + 10.0], [0]), noted, places)
+    assert out.confidence[0] == pytest.approx(plain.confidence[0], abs=1e-12)
+    assert out.confidence[0] > 0.999
+
+
+def test_events_a_tenth_of_a_second_apart_are_two() -> None:
+    """A burst: 2 m between two places that are known to 3.6 m tell nothing apart."""
+    noted = np.concatenate([EVENTS, [START + 10.1]])
+    out = judged(found([START + 10.0], [0]), noted, [200.0])
+    assert out.confidence[0] < 0.95

@@ -15,9 +15,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from georef_gis import ellipsoid, geodesy
+from georef_gis import ellipsoid
 from georef_gis.errors import GeorefError
-from georef_gis.geodesy import Height, HeightKind, MapFrame, Origin, map_crs, metres_per_unit
+from georef_gis.geodesy import (
+    Height,
+    HeightKind,
+    MapFrame,
+    Origin,
+    heights,
+    map_crs,
+    metres_per_unit,
+)
 from georef_gis.model.camera import Camera
 from georef_gis.model.grid import Grid
 from georef_gis.model.ground_point import locate
@@ -281,12 +289,12 @@ def no_convergence(patch: Patch) -> None:
 
 
 def geoid_sign(patch: Patch) -> None:
-    right = geodesy.geoid_undulation
-    patch.setattr(geodesy, "geoid_undulation", lambda *a, **k: -right(*a, **k))
+    right = heights.geoid_undulation
+    patch.setattr(heights, "geoid_undulation", lambda *a, **k: -right(*a, **k))
 
 
 def no_geoid(patch: Patch) -> None:
-    patch.setattr(geodesy, "geoid_undulation", lambda lat, lon, **k: np.zeros_like(lat))
+    patch.setattr(heights, "geoid_undulation", lambda lat, lon, **k: np.zeros_like(lat))
 
 
 def constant_axis_swap(patch: Patch) -> None:

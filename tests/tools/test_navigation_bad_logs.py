@@ -349,7 +349,11 @@ def test_log_of_another_day_over_the_same_ground_is_doubted(site: Site) -> None:
     """Without events the tagged places tell the clock, and a repeated flight fits them."""
     move_to_another_day(site)
     site.set("logs", sync=None)
-    only_poses(site).line("doubt", "the camera's clock is 21.2 days behind the logs")
+    line = only_poses(site).line("doubt", "the camera's clock is 21.2 days behind the logs")
+    assert "another flight over the same ground" in line
+    # three weeks beside the four hours of the time zone and 13 s of the sample
+    off = rows(site, "flight")[0]["clock_offset_s"] + 3 * 7 * 86400.0 + 4 * 3600 + 13.17
+    assert abs(off) < 1.0  # s
 
 
 def test_stationary_log_says_so_or_has_sigmas_to_match(site: Site) -> None:

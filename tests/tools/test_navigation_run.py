@@ -346,10 +346,31 @@ def test_plots_are_written_on_request(oriented: Site) -> None:
     assert georef("read-photos", "--project", oriented.folder).code == 0
     done = georef("navigate", "--plots", "--project", oriented.folder)
     assert done.code == 0, done.text
-    for name in ("attitude.png", "position.png", "innovations.png"):
+    for name in ("attitude.png", "innovations.png", "position.png"):
         data = (oriented.folder / "navigation" / "plots" / name).read_bytes()
         assert data.startswith(b"\x89PNG")
         assert len(data) > 10_000
+    # none of them outlives its trajectory
+    before = data
+    oriented.set("logs", filter="gnss")
+    assert georef("navigate", "--project", oriented.folder).code == 0
+    folder = oriented.folder / "navigation" / "plots"
+    assert {path.name for path in folder.iterdir()} == {"attitude.png", "position.png"}
+    assert (folder / "position.png").read_bytes() != before
+    (oriented.folder / "navigation" / "plots" / "mine.txt").write_text("a note")
+    (oriented.folder / "logs" / "imu.csv").write_bytes(b"")
+    assert georef("navigate", "--plots", "--project", oriented.folder).code == 0
+    left = (oriented.folder / "navigation").rglob("*.*")
+    assert [path.name for path in left] == ["mine.txt"]
+
+
+def test_project_without_a_trajectory_says_so_in_words(oriented: Site) -> None:
+    (oriented.folder / "logs" / "imu.csv").write_bytes(b"")
+    only_poses(oriented)
+    done = georef("compare-trajectory", oriented.folder, oriented.folder / "logs" / "gnss.csv")
+    assert done.code != 0
+    done.line("has no trajectory", str(oriented.folder), "georef navigate --strict")
+    assert "Errno" not in done.text
 
 
 def test_map_names_columns_of_its_own(oriented: Site) -> None:

@@ -15,13 +15,15 @@ import numpy as np
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
 from georef_gis.geodesy import HeightKind, geoid_undulation
+from georef_gis.ingest.logs.autopilot_values import (
+    FIX_OF_TYPE,
+    GEOID_TOLERANCE,
+    SIGMA_FEEDBACK,
+    SIGMA_TRIGGER,
+)
 from georef_gis.ingest.logs.boot_clock import BootClock, fit_boot_clock, on_gps_scale
 from georef_gis.ingest.logs.dataflash_tables import MAGIC, Table, Tables, one_boot, read_tables
 from georef_gis.model.logs import (
-    FIX_2D,
-    FIX_DGNSS,
-    FIX_FIXED,
-    FIX_FLOAT,
     FIX_NONE,
     FIX_PPP,
     FIX_SINGLE,
@@ -38,13 +40,9 @@ from georef_gis.model.logs import (
 )
 from georef_gis.units import GPS_WEEK
 
-_FIX = {0: FIX_NONE, 1: FIX_NONE, 2: FIX_2D, 3: FIX_SINGLE, 4: FIX_DGNSS, 5: FIX_FLOAT,
-        6: FIX_FIXED, 7: FIX_SINGLE, 8: FIX_PPP}  # fmt: skip
+_FIX = {**FIX_OF_TYPE, 7: FIX_SINGLE, 8: FIX_PPP}
 # s: counter of microseconds in 32 bits, in which the feedback of a camera is stamped
 _WRAP = 2.0**32 * 1e-6
-# m: the receiver's own geoid may differ from EGM96 by this
-_GEOID_TOLERANCE = 15.0
-_SIGMA_FEEDBACK, _SIGMA_TRIGGER = 0.001, 0.05
 
 
 def looks_like_dataflash(head: bytes, path: Path) -> bool:
@@ -202,7 +200,7 @@ def _separation(undulation: Array, lat: Array, lon: Array, quality: IntArray) ->
     model = float(geoid_undulation(np.median(lat[good]), np.median(lon[good])))
     stated = float(np.median(undulation[good]))
     sign = min((-1.0, 1.0), key=lambda s: abs(s * stated - model))
-    fits = abs(sign * stated - model) <= _GEOID_TOLERANCE
+    fits = abs(sign * stated - model) <= GEOID_TOLERANCE
     return np.where(good & fits, sign * undulation, np.nan)
 
 
@@ -267,7 +265,7 @@ def _events(
 ) -> EventLog:
     count = len(table)
     sequence = table.number("Img")
-    sigma = _SIGMA_FEEDBACK if kind == "feedback" else _SIGMA_TRIGGER
+    sigma = SIGMA_FEEDBACK if kind == "feedback" else SIGMA_TRIGGER
     return EventLog(
         time=_unwrapped(table, clock, doubts),
         scale="boot",

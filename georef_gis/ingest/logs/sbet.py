@@ -23,7 +23,7 @@ import numpy as np
 
 from georef_gis.ellipsoid import meridian_radius, prime_vertical_radius
 from georef_gis.errors import InputError
-from georef_gis.frames import Array, R_ned_from_body
+from georef_gis.frames import Array, covariance_theta_ned_from_rpy
 from georef_gis.ingest.logs.gnss_values import in_order, load, unroll
 from georef_gis.model.logs import FlightLogs, TimeScale, TrajectoryLog
 from georef_gis.units import GPS_WEEK
@@ -286,21 +286,11 @@ def _covariance(path: Path, tow: Array, rpy: Array) -> tuple[Array, list[str]]:
     covariance[:, :3, :3] = variances[:, :3, None] * np.eye(3)
     for at in range(0, len(tow), _BLOCK):
         rows_of = slice(at, at + _BLOCK)
-        J = _jacobian_theta_ned_from_rpy(rpy[rows_of])
-        angles = variances[rows_of, 3:] * _ARC_MINUTE**2
-        covariance[rows_of, 3:, 3:] = (J * angles[:, None, :]) @ np.swapaxes(J, 1, 2)
+        covariance[rows_of, 3:, 3:] = covariance_theta_ned_from_rpy(
+            rpy[rows_of], sigma[rows_of, 3:] * _ARC_MINUTE
+        )
     covariance[np.isnan(sigma[:, 0])] = np.nan
     return covariance, words
-
-
-def _jacobian_theta_ned_from_rpy(rpy: Array) -> Array:
-    """`frames.jacobian_theta_ned_from_rpy` for many attitudes at once; (n, 3) -> (n, 3, 3)."""
-    zero = np.zeros(len(rpy))
-    J = np.zeros((len(rpy), 3, 3))
-    J[:, :, 0] = R_ned_from_body(zero, rpy[:, 1], rpy[:, 2])[:, :, 0]
-    J[:, :, 1] = R_ned_from_body(zero, zero, rpy[:, 2])[:, :, 1]
-    J[:, 2, 2] = 1.0
-    return J
 
 
 def _smrmsg_beside(path: Path) -> Path | None:

@@ -16,7 +16,11 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from georef_gis.errors import InputError
-from georef_gis.frames import Array
+from georef_gis.frames import (
+    Array,
+    covariance_theta_ned_from_rpy,
+    sigma_rpy_from_covariance_theta_ned,
+)
 from georef_gis.model.logs import TrajectoryLog, unknown
 from georef_gis.units import GPS_WEEK
 
@@ -95,9 +99,10 @@ def write_trajectory_table(stream: IO[bytes], log: TrajectoryLog) -> None:
     rpy = np.degrees(log.rpy)
     rpy[:, 2] = np.mod(rpy[:, 2], 360.0)
     variance = np.diagonal(log.covariance, axis1=1, axis2=2)
+    sigma = sigma_rpy_from_covariance_theta_ned(log.rpy, log.covariance[:, 3:, 3:])
     table = np.column_stack(
         [week, tow, np.degrees(log.lat), np.degrees(log.lon), log.height, log.v_ned, rpy,
-         np.sqrt(variance[:, :3]), np.degrees(_sigma_rpy(log))]
+         np.sqrt(variance[:, :3]), np.degrees(sigma)]
     )  # fmt: skip
     stream.write(f"# place: {log.position_of}\n{','.join(COLUMNS)}\n".encode())
     form = ",".join(f"%.{digits}f" for digits in _DIGITS)
@@ -196,7 +201,7 @@ def _trajectory(table: Array, head: _Head, path: Path) -> TrajectoryLog:
     rpy, sigma = np.radians(table[:, 8:11]), np.radians(table[:, 14:17])
     covariance = unknown(len(table), 6, 6)
     covariance[:, :3, :3] = table[:, 11:14, None] ** 2 * np.eye(3)
-    covariance[:, 3:, 3:] = _covariance_of_rpy(rpy, sigma)
+    covariance[:, 3:, 3:] = covariance_theta_ned_from_rpy(rpy, sigma)
     if np.any(np.isfinite(covariance[:, :3, :3])) and np.any(np.isfinite(covariance[:, 3:, 3:])):
         # Sigmas in a table are stated for themselves: nothing couples place and angles.
         covariance[:, :3, 3:] = 0.0
@@ -220,30 +225,3 @@ def _check_range(table: Array, path: Path) -> None:
                 f"{values[wrong][0]:g} lies outside {low:g} to {high:g}; check column and unit",
                 source=str(path), field=name,
             )  # fmt: skip
-
-
-def _covariance_of_rpy(rpy: Array, sigma: Array) -> Array:
-    """Of the rotation error in ned (`frames.jacobian_theta_ned_from_rpy`); (n, 3, 3)."""
-    J = _jacobians(rpy) * sigma[:, None, :]
-    return np.asarray(J @ np.swapaxes(J, -1, -2))
-
-
-def _jacobians(rpy: Array) -> Array:
-    pitch, yaw = rpy[:, 1], rpy[:, 2]
-    J = np.zeros((len(rpy), 3, 3))
-    J[:, 0, 0], J[:, 1, 0] = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
-    J[:, 2, 0] = -np.sin(pitch)
-    J[:, 0, 1], J[:, 1, 1] = -np.sin(yaw), np.cos(yaw)
-    J[:, 2, 2] = 1.0
-    return J
-
-
-def _sigma_rpy(log: TrajectoryLog) -> Array:
-    out = unknown(len(log), 3)
-    known = np.all(np.isfinite(log.covariance[:, 3:, 3:]), axis=(1, 2))
-    known &= np.abs(np.cos(log.rpy[:, 1])) > 1e-6
-    if np.any(known):
-        back = np.asarray(np.linalg.inv(_jacobians(log.rpy[known])), dtype=np.float64)
-        own = back @ log.covariance[known, 3:, 3:] @ np.swapaxes(back, -1, -2)
-        out[known] = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
-    return out

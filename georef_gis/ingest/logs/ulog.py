@@ -15,13 +15,15 @@ import numpy as np
 from georef_gis.errors import InputError
 from georef_gis.frames import Array, R_from_quaternion, rpy_from_R_ned_from_body
 from georef_gis.geodesy import HeightKind, geoid_undulation
+from georef_gis.ingest.logs.autopilot_values import (
+    FIX_OF_TYPE,
+    GEOID_TOLERANCE,
+    SIGMA_FEEDBACK,
+    SIGMA_TRIGGER,
+)
 from georef_gis.ingest.logs.boot_clock import BoolArray, gps_of_unix, on_gps_scale
 from georef_gis.ingest.logs.ulog_topics import Topic, UlogFile, open_ulog
 from georef_gis.model.logs import (
-    FIX_2D,
-    FIX_DGNSS,
-    FIX_FIXED,
-    FIX_FLOAT,
     FIX_NONE,
     FIX_SINGLE,
     AidKind,
@@ -38,14 +40,9 @@ from georef_gis.model.logs import (
 
 _MAGIC = b"ULog\x01\x12\x35"
 # fix_type of sensor_gps -> our quality; 8 is "extrapolated", which no satellite backs
-_FIX = {0: FIX_NONE, 1: FIX_NONE, 2: FIX_2D, 3: FIX_SINGLE, 4: FIX_DGNSS, 5: FIX_FLOAT,
-        6: FIX_FIXED, 8: FIX_NONE}  # fmt: skip
-# m: the receiver's own geoid may differ from EGM96 by this
-_GEOID_TOLERANCE = 15.0
+_FIX = {**FIX_OF_TYPE, 8: FIX_NONE}
 # Hz: sampled more slowly, the topic was thinned for the log
 _LEAST_IMU_RATE = 10.0
-# s: pulse timing of the trigger pins and of the capture interrupt
-_SIGMA_FEEDBACK, _SIGMA_TRIGGER = 0.001, 0.05
 
 
 def looks_like_ulog(head: bytes, path: Path) -> bool:
@@ -217,7 +214,7 @@ def _height(
         return ellipsoidal, HeightKind.ELLIPSOIDAL, ellipsoidal - above_geoid, []
     stated = float(np.median((ellipsoidal - above_geoid)[good]))
     model = float(geoid_undulation(np.median(lat[good]), np.median(lon[good])))
-    if abs(stated - model) <= _GEOID_TOLERANCE:
+    if abs(stated - model) <= GEOID_TOLERANCE:
         return ellipsoidal, HeightKind.ELLIPSOIDAL, ellipsoidal - above_geoid, []
     doubt = (
         f"{topic.name}: ellipsoidal height less height above the geoid is {stated:.1f} m, EGM96 "
@@ -311,7 +308,7 @@ def _event(file: UlogFile, topic: Topic, kind: str, rows: BoolArray) -> EventLog
     count = int(np.sum(rows))
     lat, lon = np.radians(topic.or_nan("lat")[rows]), np.radians(topic.or_nan("lon")[rows])
     file.used(topic)
-    sigma = _SIGMA_FEEDBACK if kind == "feedback" else _SIGMA_TRIGGER
+    sigma = SIGMA_FEEDBACK if kind == "feedback" else SIGMA_TRIGGER
     return EventLog(
         time=topic.time[rows],
         scale="boot",
