@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,14 +23,17 @@ class CogOptions(p.Parameters):
     """Options of the COG."""
 
     compression: Literal["keep", "jpeg", "webp", "deflate", "zstd", "lzw"] = p.choice(
-        "keep", title="Compression", help="keep = the file as it is, byte by byte; jpeg and webp "
-        "lose a little, the others nothing.",
+        "keep", title="Compression", help="keep = the pixels as they are, byte by byte; jpeg and "
+        "webp lose a little, the others nothing.",
     )  # fmt: skip
     quality: p.Integer = p.integer(85, title="Quality of jpeg and webp", ge=1, le=100)
 
 
 class Cog(Exporter[CogOptions]):
-    """The mosaic, or another GeoTIFF, as cloud-optimised GeoTIFF; CRS and pixels stay in place."""
+    """The mosaic, or another GeoTIFF, as cloud-optimised GeoTIFF; CRS and pixels stay in place.
+
+    The mosaic's accuracy statement, if one was made, goes into its metadata.
+    """
 
     id = "cog"
     name = "COG (GeoTIFF)"
@@ -37,6 +41,7 @@ class Cog(Exporter[CogOptions]):
     accepts = ("raster",)
     target = "mosaic_cog.tif"
     needs = ("mosaic",)
+    wants = ("adjusted", "control", "accuracy")
 
     def write(
         self, source: LayerSource, target: Path, options: CogOptions, feedback: Feedback
@@ -50,7 +55,25 @@ class Cog(Exporter[CogOptions]):
         if not path.is_file():
             raise ExportError(f"{path}: is not there; run `georef run` first")
         check_cancelled(feedback)
-        return write_cog(path, target, options.compression, options.quality)
+        report = write_cog(path, target, options.compression, options.quality)
+        if source.layer != "mosaic":
+            return report
+        from exports.site_reader import read_accuracy
+
+        items, warnings = read_accuracy(source.project)
+        warnings += add_accuracy(target, items)
+        for warning in warnings:
+            feedback.warn(warning)
+        return replace(report, warnings=(*report.warnings, *warnings))
+
+
+def add_accuracy(target: Path, items: Mapping[str, str]) -> tuple[str, ...]:
+    """Put the items of an accuracy statement in the place of older ones; warnings."""
+    from georef_gis.rasters.aux_metadata import add_tiff_items
+
+    if not items or add_tiff_items(target, items, family="ACCURACY_"):
+        return ()
+    return ("the accuracy statement is left out: the file has no metadata to add it to",)
 
 
 def write_cog(

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exports.opensfm import CRS_OF_FRAME, block_of_site, block_site
+from exports.opensfm import CRS_OF_FRAME
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
 from georef_gis.toolbox import parameters as p
@@ -27,10 +27,11 @@ class ColmapOptions(p.Parameters):
 
 
 class Colmap(Exporter[ColmapOptions]):
-    """Cameras and poses as a COLMAP text model: cameras.txt, images.txt, points3D.txt.
+    """Cameras, poses and points as a COLMAP text model: cameras.txt, images.txt, points3D.txt.
 
     The world is east, north, up in m at the origin that georef_frame.json states; heights are
-    above the ellipsoid. The target is a folder of its own.
+    above the ellipsoid. Points and tracks are those of the adjustment, where there is one. The
+    target is a folder of its own.
     """
 
     id = "colmap"
@@ -44,8 +45,11 @@ class Colmap(Exporter[ColmapOptions]):
         self, source: LayerSource, target: Path, options: ColmapOptions, feedback: Feedback
     ) -> ExportReport:
         """Write the model to the folder `target`."""
-        site, turned = block_site(source)
-        report = write_colmap(site, target, turned=turned)
+        from exports.poses import site_with_poses
+
+        site = site_with_poses(source)
+        ties, points = site.tracks()
+        report = write_colmap(site, target, ties=ties, points=points)
         for warning in report.warnings:
             feedback.warn(warning)
         return report
@@ -55,7 +59,6 @@ def write_colmap(
     site: SiteLayers,
     target: Path,
     *,
-    turned: Mapping[str, int] | None = None,
     ties: TiePoints | None = None,
     points: GroundPoints | None = None,
 ) -> ExportReport:
@@ -66,10 +69,11 @@ def write_colmap(
     ExportError
         If there is no pose, or a camera that the format cannot hold.
     """
+    from exports.site_block import site_block
     from georef_gis.model.interchange import colmap
-    from georef_gis.model.interchange.block import losses, own_facts
 
-    block = block_of_site(site, turned=turned or {}, ties=ties, points=points)
+    found = site_block(site, colmap.PROGRAM, ties=ties, points=points)
+    block = found.block
     unfit = [shot.name for shot in block.shots if any(sign.isspace() for sign in shot.name)]
     if unfit:
         # Its readers take the name up to the first blank.
@@ -83,14 +87,14 @@ def write_colmap(
         _write(target / "images.txt", colmap.images_lines(block))
         _write(target / "points3D.txt", colmap.points_lines(block))
         _write(target / REFERENCES_FILE, colmap.references_lines(block))
-        text = json.dumps(own_facts(block), ensure_ascii=False, allow_nan=False, indent=1)
+        text = json.dumps(found.facts, ensure_ascii=False, allow_nan=False, indent=1)
     except InputError as error:
         raise ExportError(str(error)) from error
     (target / FRAME_FILE).write_text(text + "\n", encoding="utf-8")
-    warnings = tuple(w for camera in block.cameras.values() for w in losses(camera, "COLMAP"))
     return ExportReport(
-        crs=CRS_OF_FRAME, height_kind="ellipsoidal", features=len(block.shots), warnings=warnings
-    )
+        crs=CRS_OF_FRAME, height_kind="ellipsoidal", features=len(block.shots),
+        warnings=(*site.warnings, *found.warnings),
+    )  # fmt: skip
 
 
 def _write(path: Path, lines: Iterable[str]) -> None:

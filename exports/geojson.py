@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
 
@@ -17,11 +18,18 @@ if TYPE_CHECKING:
 
 # deg; 0.1 mm
 DECIMALS = 9
-VECTORS = ("photos", "footprints", "track")
+VECTORS = ("photos", "footprints", "track", "control")
+# Layers that are there only after work that may not have been done: an empty one is refused.
+OPTIONAL = ("control", "tie_points")
 
 
 class GeoJsonOptions(p.Parameters):
     """Options of the GeoJSON."""
+
+    tie_points: p.Flag = p.flag(
+        False, title="Tie points", help="Of the site also the ground points of the adjustment, "
+        "about 300 bytes each.",
+    )  # fmt: skip
 
 
 class GeoJson(Exporter[GeoJsonOptions]):
@@ -44,14 +52,28 @@ class GeoJson(Exporter[GeoJsonOptions]):
         from exports.site import SiteLayers
 
         site = SiteLayers.from_project(source.project)
-        names = VECTORS if source.kind == "site" else (source.layer,)
+        names: tuple[str, ...] = VECTORS if source.kind == "site" else (source.layer,)
+        if source.kind == "site" and options.tie_points:
+            names = (*VECTORS, "tie_points")
         check_cancelled(feedback)
+        for warning in site.warnings:
+            feedback.warn(warning)
         return write_geojson(site, target, names)
 
 
 def write_geojson(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTORS) -> ExportReport:
-    """FeatureCollection of layers of a site; with several, features carry `layer`."""
+    """FeatureCollection of layers of a site; with several, features carry `layer`.
+
+    The accuracy statement stands under `metadata`, a foreign member (RFC 7946, 6.1).
+
+    Raises
+    ------
+    ExportError
+        If the one layer that is asked for is one that the project has not.
+    """
     layers = [site.layer(name) for name in names]
+    if len(layers) == 1 and names[0] in OPTIONAL and not layers[0].features:
+        raise ExportError(site.why_empty(names))
     features = [
         _feature(layer, feature, named=len(layers) > 1)
         for layer in layers
@@ -61,6 +83,8 @@ def write_geojson(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTO
     boxes = [f["bbox"] for f in features if "bbox" in f]
     if boxes:
         collection["bbox"] = _around(boxes)
+    if site.accuracy:
+        collection["metadata"] = dict(site.accuracy)
     collection["features"] = features
     with target.open("w", encoding="utf-8") as stream:
         json.dump(collection, stream, ensure_ascii=False, allow_nan=False)

@@ -24,10 +24,13 @@ class GeoPackageOptions(p.Parameters):
     """Options of the GeoPackage."""
 
     styles: p.Flag = p.flag(True, title="Styles", help="Default styles for QGIS in the file.")
+    tie_points: p.Flag = p.flag(
+        True, title="Tie points", help="The ground points of the adjustment, all of them."
+    )
 
 
 class GeoPackage(Exporter[GeoPackageOptions]):
-    """Site for a GIS: photos, footprints, flight track and cameras in the project CRS.
+    """Site for a GIS: photos, footprints, track, cameras, control, tie points in the project CRS.
 
     Places are 2D, because a height belongs to no vertical CRS here: heights stand as attributes
     that name their kind and metres. `site_metadata` says what the file is.
@@ -40,6 +43,7 @@ class GeoPackage(Exporter[GeoPackageOptions]):
     target = "site.gpkg"
     in_run = True
     needs = ("photos", "poses", "footprints", "mosaic")
+    wants = ("adjusted", "control", "accuracy")
 
     def write(
         self, source: LayerSource, target: Path, options: GeoPackageOptions, feedback: Feedback
@@ -48,7 +52,9 @@ class GeoPackage(Exporter[GeoPackageOptions]):
         from exports.site import LAYERS, SiteLayers
 
         site = SiteLayers.from_project(source.project)
-        names = LAYERS if source.kind == "site" else (source.layer,)
+        names: tuple[str, ...] = LAYERS if source.kind == "site" else (source.layer,)
+        if source.kind == "site" and not options.tie_points:
+            names = tuple(name for name in LAYERS if name != "tie_points")
         check_cancelled(feedback)
         report = write_geopackage(site, target, names, styles=options.styles)
         for warning in report.warnings:
@@ -75,7 +81,7 @@ def write_geopackage(
 
     layers = [layer for layer in map(site.layer, names or LAYERS) if layer.features]
     if not layers:
-        raise ExportError(f"nothing to write: {', '.join(names or LAYERS)} have no features yet")
+        raise ExportError(site.why_empty(names or LAYERS))
     target.unlink(missing_ok=True)
     for layer in layers:
         _write_layer(site, layer, target)
@@ -83,11 +89,10 @@ def write_geopackage(
         add_tables(target, site.metadata(), layers, styles=styles)
     except sqlite3.Error as error:
         raise _refusal(error, target) from error
-    warnings = (
-        (f"photos left out, as they have no position: {', '.join(site.unplaced[:5])}",)
-        if site.unplaced
-        else ()
-    )
+    warnings = site.warnings
+    if site.unplaced:
+        left = ", ".join(site.unplaced[:5])
+        warnings += (f"photos left out, as they have no position: {left}",)
     features = sum(len(layer.features) for layer in layers)
     return ExportReport(
         crs=site.crs_name, height_kind=HEIGHT_KIND, features=features, warnings=warnings

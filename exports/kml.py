@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from exports.kml_picture import MosaicPicture
     from exports.site import SiteLayers
 
-VECTORS = ("photos", "footprints", "track")
+VECTORS = ("photos", "footprints", "track", "control")
 CRS = "EPSG:4326"
 HEIGHT_KIND = "orthometric (EGM96)"
 
@@ -51,7 +51,7 @@ class KmlOptions(p.Parameters):
 
 
 class Kmz(Exporter[KmzOptions]):
-    """Site for Google Earth: photos, footprints, flight track and mosaic in one KMZ.
+    """Site for Google Earth: photos, footprints, flight track, control and mosaic in one KMZ.
 
     Photo points and the track stand at their height above sea level (EGM96), footprints lie on
     the ground. The mosaic is a pyramid of tiles that load as one comes closer.
@@ -64,6 +64,7 @@ class Kmz(Exporter[KmzOptions]):
     target = "site.kmz"
     in_run = True
     needs = ("photos", "poses", "footprints", "mosaic")
+    wants = ("adjusted", "control", "accuracy")
 
     def write(
         self, source: LayerSource, target: Path, options: KmzOptions, feedback: Feedback
@@ -75,7 +76,7 @@ class Kmz(Exporter[KmzOptions]):
 
 
 class Kml(Exporter[KmlOptions]):
-    """Photos, footprints and flight track as one plain KML, without pictures."""
+    """Photos, footprints, flight track and control as one plain KML, without pictures."""
 
     id = "kml"
     name = "KML (vectors)"
@@ -92,7 +93,10 @@ class Kml(Exporter[KmlOptions]):
 
         site = SiteLayers.from_project(source.project)
         names = VECTORS if source.kind == "site" else (source.layer,)
-        return write_kml(site, target, names)
+        report = write_kml(site, target, names)
+        for warning in report.warnings:
+            feedback.warn(warning)
+        return report
 
 
 def write_kml(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTORS) -> ExportReport:
@@ -108,10 +112,14 @@ def write_kml(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTORS) 
     layers = {layer.name: layer for layer in map(site.layer, names)}
     if "cameras" in layers:
         raise ExportError("KML cannot hold cameras, which have no place; use GeoPackage")
+    if "tie_points" in layers:
+        raise ExportError("tie points are too many for KML; use GeoPackage")
+    if names == ("control",) and not layers["control"].features:
+        raise ExportError(site.why_empty(names))
     with target.open("wb") as stream:
         write_document(stream, site, layers, thumbnails={})
     features = sum(len(layer.features) for layer in layers.values())
-    return ExportReport(crs=CRS, height_kind=HEIGHT_KIND, features=features)
+    return ExportReport(crs=CRS, height_kind=HEIGHT_KIND, features=features, warnings=site.warnings)
 
 
 def write_kmz(
@@ -127,7 +135,7 @@ def write_kmz(
     from exports.kml_files import Counter, Spool, camera_icon, write_zip
     from exports.kml_site import ICON, write_document
 
-    warnings: list[str] = []
+    warnings = list(site.warnings)
     layers = {name: site.layers[name] for name in VECTORS}
     with Spool(target.parent) as spool:
         spool.add(ICON, camera_icon())

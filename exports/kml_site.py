@@ -1,4 +1,4 @@
-"""The KML of a site: photo points, footprints and flight track."""
+"""The KML of a site: photo points, footprints, flight track and surveyed points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ PHOTO_TABLE = (
     "time_utc", "camera_clock", "lat_deg", "lon_deg", "height_ellipsoidal_m",
     "height_orthometric_m", "height_above_ground_m", "height_kind", "roll_deg",
     "pitch_deg", "yaw_deg", "omega_deg", "phi_deg", "kappa_deg", "sigma_e_m", "sigma_n_m",
-    "sigma_u_m", "sigma_yaw_deg", "pose_kind", "gsd_m", "tilt_deg", "camera", "flight", "doubts",
+    "sigma_u_m", "sigma_above_ground_m", "sigma_yaw_deg", "pose_kind", "tie_points", "residual_px",
+    "gsd_m", "tilt_deg", "camera", "flight", "doubts",
 )  # fmt: skip
 
 
@@ -51,6 +52,7 @@ def write_document(
         k.element("description", text=_statement(site)),
         k.point_style("photo", icon),
         k.point_style("photo-doubtful", icon, colour="ff00a5ff"),
+        k.point_style("control", "", colour="ff00ff00"),
         k.line_style("footprint", colour="ffffc04d", width=1.2, fill="1affc04d"),
         k.line_style("track", colour="ff00ffff", width=2.0),
         *(k.schema(layer) for layer in layers.values()),
@@ -71,17 +73,21 @@ def _placemarks(layer: Layer, thumbnails: Mapping[str, str]) -> Iterator[k.Eleme
             yield _footprint(layer, i, feature)
         elif layer.name == "track":
             yield _track(layer, i, feature)
+        elif layer.name == "control":
+            yield _control(layer, i, feature)
         else:
             yield _photo(layer, i, feature, thumbnails.get(str(feature.values["photo"]), ""))
 
 
 def _statement(site: SiteLayers) -> str:
     facts = site.metadata()
+    accuracy = [text for name, text in site.accuracy.items() if "_STATEMENT_" in name]
+    told = f" Accuracy: {' '.join(accuracy)}" if accuracy else ""
     return (
         f"{facts['photos']} photos, poses: {facts['poses']}. Positions: WGS 84 longitude and "
         f"latitude (datum of the positions: {facts['datum_of_positions']}). Heights of points and "
         "lines: metres above the EGM96 geoid; in tables as their names say. Sigmas: one standard "
-        f"deviation. Project CRS: {facts['crs']}. Made by {facts['made_by']}."
+        f"deviation. Project CRS: {facts['crs']}. Made by {facts['made_by']}.{told}"
     )
 
 
@@ -101,6 +107,24 @@ def _photo(layer: Layer, index: int, feature: Feature, image: str) -> k.Element:
             k.coordinates(feature.geo, height if known else None),
         ),
         id=f"photo-{index + 1}",
+    )
+
+
+def _control(layer: Layer, index: int, feature: Feature) -> k.Element:
+    height = feature.height_orthometric
+    known = bool(np.all(np.isfinite(height)))
+    return k.element(
+        "Placemark",
+        k.element("name", text=str(feature.values["name"])),
+        k.balloon(layer, feature, [f.name for f in layer.fields]),
+        k.element("styleUrl", text="#control"),
+        k.extended_data(layer, feature),
+        k.element(
+            "Point",
+            k.element("altitudeMode", text="absolute" if known else "clampToGround"),
+            k.coordinates(feature.geo, height if known else None),
+        ),
+        id=f"control-{index + 1}",
     )
 
 

@@ -160,10 +160,9 @@ def _wish(angles: str, crs: str, heights: str) -> _Wish:
 def _write(
     source: LayerSource, target: Path, feedback: Feedback, wish: _Wish, writer: _Writer
 ) -> ExportReport:
-    from exports.opensfm import block_site
+    from exports.poses import site_with_poses
 
-    site, _ = block_site(source)
-    report = writer(site, target, wish)
+    report = writer(site_with_poses(source), target, wish)
     for warning in report.warnings:
         feedback.warn(warning)
     return report

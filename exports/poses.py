@@ -76,14 +76,25 @@ def _write(
     feedback: Feedback,
     writer: Callable[[SiteLayers, Path], ExportReport],
 ) -> ExportReport:
+    report = writer(site_with_poses(source), target)
+    for warning in report.warnings:
+        feedback.warn(warning)
+    return report
+
+
+def site_with_poses(source: LayerSource) -> SiteLayers:
+    """Site with the best poses, which are to be written.
+
+    Raises
+    ------
+    ExportError
+        If another layer was chosen.
+    """
     from exports.site import SiteLayers
 
     if source.layer not in ("photos", "poses"):
         raise ExportError(f"layer {source.layer} has no poses; use poses")
-    report = writer(SiteLayers.from_project(source.project), target)
-    for warning in report.warnings:
-        feedback.warn(warning)
-    return report
+    return SiteLayers.from_project(source.project, best=True)
 
 
 def _posed(site: SiteLayers) -> list[Feature]:

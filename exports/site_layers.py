@@ -35,7 +35,7 @@ GAP_FACTOR = 5.0
 
 
 def build_layers(site: SiteValues) -> dict[str, Layer]:
-    """All layers of a site by name."""
+    """Layers of photos and cameras by name."""
     gsd = {f.photo_id: f.gsd for f in site.footprints}
     geo = photo_positions(site.frame, site.photos)
     placed = [i for i in range(len(site.photos)) if np.all(np.isfinite(geo[i, :2]))]
@@ -46,7 +46,7 @@ def build_layers(site: SiteValues) -> dict[str, Layer]:
         _photo_values(site, p, points[i : i + 1], gsd.get(p.photo.id), float(convergence[i]))
         for i, p in enumerate(photos)
     ]
-    features = tuple(_feature(row, points[i : i + 1]) for i, row in enumerate(rows))
+    features = tuple(feature(row, points[i : i + 1]) for i, row in enumerate(rows))
     return {
         "photos": Layer(
             name="photos", title="Photos", geometry="Point", fields=schemas.PHOTO_FIELDS,
@@ -93,7 +93,8 @@ def grid_convergence(frame: MapFrame, geo: Array) -> Array:
     return np.asarray(-np.arctan2(north[:, 0], north[:, 1]))
 
 
-def _feature(values: Mapping[str, Value], points: Array) -> Feature:
+def feature(values: Mapping[str, Value], points: Array) -> Feature:
+    """Feature of the columns that `place` gives."""
     return Feature(
         values=values,
         geo=points[:, :3],
@@ -120,7 +121,7 @@ def _photo_values(
         "photo": photo.id,
         "file": photo.path.name,
         "flight": photo.flight_id,
-        "camera": photo.camera_id,
+        "camera": p.camera_id,
         "time_utc": _iso(_utc(photo, site.epoch_gps)),
         "camera_clock": photo.camera_clock.isoformat() if photo.camera_clock else None,
         "lon_deg": float(lon),
@@ -130,9 +131,12 @@ def _photo_values(
         "height_above_ground_m": number(p.height_above_ground),
         "sigma_above_ground_m": number(p.sigma_above_ground),
         "gsd_m": number(gsd),
+        "tie_points": p.tie_points,
+        "residual_px": number(p.residual_px),
         "doubts": "; ".join((*photo.doubts, *p.doubts)) or None,
     }
     if p.pose is not None:
+        values["turned_deg"] = p.turned_deg
         values |= _pose_values(
             site.frame, p.pose, math.radians(lat), math.radians(lon), convergence
         )
@@ -232,7 +236,7 @@ def _footprints(site: SiteValues) -> Layer:
         ring_map = _ring(f.ring_map)
         if len(ring_map) == len(points):
             points[:, 4:] = ring_map[:, :2]
-        features.append(_feature(values, _counter_clockwise(points)))
+        features.append(feature(values, _counter_clockwise(points)))
     return Layer(
         name="footprints", title="Footprints", geometry="Polygon",
         fields=schemas.FOOTPRINT_FIELDS, features=tuple(features),
@@ -281,7 +285,7 @@ def _track(site: SiteValues, photos: list[SitePhoto], points: Array) -> Layer:
                 "duration_s": part[-1][0] - part[0][0],
                 "length_m": float(np.sum(np.linalg.norm(np.diff(enu, axis=0), axis=1))),
             }
-            features.append(_feature(values, points[index]))
+            features.append(feature(values, points[index]))
     return Layer(
         name="track", title="Flight track", geometry="LineString",
         fields=schemas.TRACK_FIELDS, features=tuple(features),
@@ -314,11 +318,13 @@ def _track_values(site: SiteValues, photos: list[Photo]) -> dict[str, Value]:
 def _cameras(site: SiteValues) -> Layer:
     empty = np.zeros((0, 6))
     features = []
+    used = [p.camera_id for p in site.photos if p.pose is not None]
     for camera in site.cameras:
-        values: dict[str, Value] = {"camera": camera.id}
-        for f in schemas.CAMERA_FIELDS[1:]:
-            values[f.name] = getattr(camera, f.name.removesuffix("_px"))
-        features.append(_feature(values, empty))
+        values: dict[str, Value] = {"camera": camera.id, "photos": used.count(camera.id)}
+        for f in schemas.CAMERA_FIELDS:
+            if f.name not in values:
+                values[f.name] = getattr(camera, f.name.removesuffix("_px"))
+        features.append(feature(values, empty))
     return Layer(
         name="cameras", title="Cameras", geometry="None", fields=schemas.CAMERA_FIELDS,
         features=tuple(features),

@@ -1,4 +1,4 @@
-"""A site's photos, footprints and cameras as plain values."""
+"""A site's photos, footprints, cameras and control as plain values."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
+from georef_gis.frames import Array
 from georef_gis.geodesy import CRS, MapFrame
 from georef_gis.model.camera import Camera
 from georef_gis.model.layers import Footprint
@@ -16,14 +18,60 @@ from georef_gis.model.pose import Pose
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SitePhoto:
-    """A photo with what became of it; without a pose only its tagged position is known."""
+    """A photo with what became of it; without a pose only its tagged position is known.
+
+    Parameters
+    ----------
+    height_above_ground, sigma_above_ground : m
+        One sigma of camera and ground together.
+    posed_camera_id
+        Id of the camera that the pose goes with; empty = that of the photo.
+    turned_deg
+        Degrees clockwise by which the pose takes the pixels as turned after the exposure.
+    tie_points, residual_px
+        How many tie points the adjustment used in the photo, and their root mean square residual.
+    """
 
     photo: Photo
     pose: Pose | None = None
     height_above_ground: float | None = None
-    # m, one sigma of the height above the ground: of the camera and of the ground
     sigma_above_ground: float | None = None
     doubts: tuple[str, ...] = ()
+    posed_camera_id: str = ""
+    turned_deg: int = 0
+    tie_points: int | None = None
+    residual_px: float | None = None
+
+    @property
+    def camera_id(self) -> str:
+        """Id of the camera whose values go with the pose."""
+        return self.posed_camera_id or self.photo.camera_id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SiteControl:
+    """A surveyed point, and what the adjustment made of it.
+
+    Parameters
+    ----------
+    p_map : shape (3,)
+        East, north in CRS units, height above the ellipsoid in m, NaN if not surveyed.
+    sigma_h, sigma_v : m
+        Of the survey; None = not stated.
+    marks
+        In how many photos it is marked.
+    adjusted
+        Its entry in the report of the adjustment; None = it took no part.
+    """
+
+    name: str
+    role: str
+    p_map: Array
+    sigma_h: float | None = None
+    sigma_v: float | None = None
+    marks: int = 0
+    datum: str = ""
+    adjusted: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +88,12 @@ class SiteValues:
         File of the mosaic, if there is one.
     facts
         Name -> text, of the run and of the project.
+    adjustment
+        Folder of the adjustment that most of the poses are from, if one is.
+    accuracy
+        Name -> text of the accuracy statement, if one was made of these products.
+    warnings
+        What is to be said of the site whatever is written of it.
     """
 
     name: str
@@ -50,6 +104,10 @@ class SiteValues:
     mosaic: Path | None = None
     epoch_gps: float = 0.0
     facts: Mapping[str, str] = field(default_factory=dict)
+    control: tuple[SiteControl, ...] = ()
+    adjustment: Path | None = None
+    accuracy: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def crs(self) -> CRS:
@@ -91,4 +149,5 @@ class SiteValues:
             "photos": str(len(self.photos)),
             "photos_without_place": ", ".join(self.unplaced),
             **self.facts,
+            **{name.lower(): text for name, text in self.accuracy.items()},
         }

@@ -6,11 +6,12 @@ import csv
 import math
 import os
 import shutil
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from exports.poses import site_with_poses
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -19,7 +20,6 @@ from georef_gis.toolbox.exporter import FOLDER_LIST
 if TYPE_CHECKING:
     from exports.schemas import Feature
     from exports.site import SiteLayers, SitePhoto
-    from georef_gis.project import Project
     from georef_gis.rasters.photo_tags import PoseTags
 
 # The list of what was written; it also tells a folder of ours from anyone else's.
@@ -70,12 +70,7 @@ class TaggedPhotos(Exporter[TaggedPhotosOptions]):
         self, source: LayerSource, target: Path, options: TaggedPhotosOptions, feedback: Feedback
     ) -> ExportReport:
         """Write the copies to the folder `target`."""
-        from exports.site import SiteLayers
-
-        if source.layer not in ("photos", "poses"):
-            raise ExportError(f"layer {source.layer} has no poses; use poses")
-        site = with_best_poses(SiteLayers.from_project(source.project), source.project)
-        return write_tagged_photos(site, target, options, feedback)
+        return write_tagged_photos(site_with_poses(source), target, options, feedback)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,29 +78,6 @@ class _Copy:
     photo: SitePhoto
     feature: Feature
     name: str
-
-
-def with_best_poses(site: SiteLayers, project: Project) -> SiteLayers:
-    """The site with the best pose of each photo, which its footprint may not have used yet."""
-    from exports.site_reader import POSE_KINDS
-    from georef_gis.project.records import pose_of
-
-    best: dict[str, tuple[int, Mapping[str, Any]]] = {}
-    for row in project.database.rows("pose"):
-        rank = POSE_KINDS.index(row["kind"]) if row["kind"] in POSE_KINDS else -1
-        if row["status"] != "refused" and rank >= best.get(row["photo_id"], (-1, row))[0]:
-            best[row["photo_id"]] = (rank, row)
-    photos = tuple(
-        replace(
-            one,
-            pose=pose_of(best[one.photo.id][1]),
-            height_above_ground=best[one.photo.id][1]["height_above_ground_m"],
-        )
-        if one.photo.id in best
-        else one
-        for one in site.photos
-    )
-    return replace(site, photos=photos)
 
 
 def write_tagged_photos(

@@ -11,7 +11,7 @@ from georef_gis.model.mesh import Ground
 from georef_gis.model.terrain import DemTerrain, Terrain
 from georef_gis.project import Project
 from georef_gis.rasters.profile import RasterProfile
-from processing_algorithms.site import Site
+from processing_algorithms.site import POSE_KINDS, Site
 
 _BANDS = {1: ("grey",), 3: ("red", "green", "blue"), 4: ("red", "green", "blue", "band 4")}
 
@@ -50,8 +50,16 @@ def profile_for(
             "TITLE": title,
             "SOFTWARE": "georef_gis",
             "DATUM": f"positions {frame.gnss_datum}, map {frame.crs_datum}",
+            **_poses(project),
         },
     )
+
+
+def _poses(project: Project) -> dict[str, str]:
+    """Item that says which kinds of poses the footprints, and so the products, are made from."""
+    count = {kind: project.database.count("footprint", {"pose_kind": kind}) for kind in POSE_KINDS}
+    told = ", ".join(f"{kind} ({n} photos)" for kind, n in count.items() if n)
+    return {"POSES": told} if told else {}
 
 
 def ground_range(terrain: Terrain) -> tuple[float, float]:

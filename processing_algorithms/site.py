@@ -143,7 +143,7 @@ def _ground_of(poses: Sequence[tuple[str, Pose]], terrain: Terrain, project: Pro
         apart = [pose.sigma_height_shared > 0.0 for kind, pose in poses if kind == "adjusted"]
         return terrain.beside_photos() if apart and all(apart) else terrain
     shared = project.database.meta("ground", {}).get("sigma_shared_m", 0.0)
-    if not shared or all(kind == "tags" for kind, _ in poses):
+    if not shared or all(kind == "tags" or p.sigma_height_shared > 0.0 for kind, p in poses):
         return terrain
     if not isinstance(terrain, FlatTerrain | DemTerrain):
         return terrain

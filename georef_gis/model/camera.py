@@ -113,6 +113,11 @@ class Camera:
                 field="attitude.rotate_photos",
             )
         camera = self
+        if degrees % 360:
+            # Upside down the rows are read the other way; lying, they stand in columns, which the
+            # model cannot hold.
+            readout = -self.readout_s if degrees % 180 == 0 else 0.0
+            camera = replace(self, readout_s=readout)
         for _ in range(degrees // 90 % 4):
             # u' = height - 1 - v, v' = u
             camera = replace(

@@ -29,6 +29,7 @@ LAYER_KINDS: dict[str, str] = {
     "poses": "vector",
     "footprints": "vector",
     "control": "vector",
+    "tie_points": "vector",
     # The first of a kind is the default of an exporter that accepts it.
     "mosaic": "raster",
     "orthos": "raster",
@@ -116,6 +117,7 @@ class Exporter(ABC, Generic[O]):
     target: ClassVar[str] = ""
     in_run: ClassVar[bool] = False
     needs: ClassVar[tuple[str, ...]] = ("photos",)
+    wants: ClassVar[tuple[str, ...]] = ("adjusted",)
     version: ClassVar[str] = "1"
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -346,6 +348,7 @@ def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:
             "exporter": exporter,
             "outputs": (Output(name="target", title=exporter.name),),
             "needs": exporter.needs,
+            "wants": exporter.wants,
             "in_run": exporter.in_run,
             "version": exporter.version,
         },

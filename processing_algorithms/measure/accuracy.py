@@ -70,7 +70,8 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
     def run(self, context: Context, parameters: AccuracyParameters, feedback: Feedback) -> Result:
         """Measure, judge and write."""
-        from georef_gis.measure.accuracy_statement import AccuracyReport
+        from georef_gis.measure.accuracy_statement import AccuracyReport, statement_metadata
+        from georef_gis.rasters.aux_metadata import write_aux_metadata
         from processing_algorithms.site import load_site
 
         project = context.require_project()
@@ -94,6 +95,9 @@ class Accuracy(Algorithm[AccuracyParameters]):
         feedback.progress(0.9, "measured")
         check_cancelled(feedback)
         outputs = write_statement(report, project.products)
+        mosaic = project.products / "mosaic.tif"
+        if mosaic.is_file():
+            write_aux_metadata(mosaic, statement_metadata(report), family="ACCURACY_")
         return Result(outputs=outputs, summary=account_of(report, outputs))
 
 
@@ -222,18 +226,41 @@ def _measured(
     products = assess(
         _product_residuals(site, points, places), targets, kind="products", measured_on=on
     )
-    crossed = _intersection_residuals(site, points, untested)
+    crossed = _intersection_residuals(site, points, untested, _joint(project, site))
     found = [products]
     if crossed:
         found.append(assess(crossed, targets, kind="intersections"))
     return found
 
 
+def _joint(project: Project, site: Site) -> JointCovariance | None:
+    """Joint covariance of the adjusted poses, where all are and the adjustment kept it."""
+    from georef_gis.project.joint_covariance import load_pose_covariance
+
+    if any(kind != "adjusted" for kind in site.pose_kinds.values()):
+        return None
+    kept = load_pose_covariance(project.adjustment / "covariance.npz")
+    if kept is None or kept.of(list(site.photos)) is None:
+        return None
+
+    def joint(photo_ids: Sequence[str]) -> Array:
+        found = kept.of(photo_ids)
+        if found is None:
+            raise KeyError(f"no joint covariance of {photo_ids}")
+        return found
+
+    return joint
+
+
 def _surface(project: Project) -> str:
     """What the surface is, in words."""
-    facts = project.database.meta("ground") or {}
+    database = project.database
+    facts = database.meta("ground_adjusted") or database.meta("ground") or {}
     if facts.get("path"):
         return Path(facts["path"]).name
+    kinds = {"tin": "TIN of adjusted points", "plane": "plane through adjusted points"}
+    if facts.get("kind") in kinds:
+        return kinds[facts["kind"]]
     return f"level ground ({facts.get('source', 'of no known source')})"
 
 

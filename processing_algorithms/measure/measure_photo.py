@@ -72,6 +72,8 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
             "height_above_ground_m": round(agl, 3),
             "tilt_deg": round(math.degrees(photo.pose.tilt), 2),
             "image_top_azimuth_deg": round(math.degrees(photo.pose.image_up_azimuth) % 360, 2),
+            "pose_kind": photo.pose.kind,
+            "camera": photo.camera.id,
         }
         outputs: dict[str, Path] = {}
         if parameters.pixel:

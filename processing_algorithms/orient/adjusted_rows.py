@@ -50,7 +50,7 @@ def forget(project: Project) -> None:
         for row in database.rows("camera"):
             if (row["extra"] or {}).get("adjusted_of"):
                 database.delete_rows("camera", {"camera_id": row["camera_id"]})
-        database.set_meta(ground_adjusted=None)
+        database.set_meta(ground_adjusted=None, adjustment=None)
     for name in (REPORT, SURFACE, COVARIANCE, "points.npz", "residuals.npz"):
         (project.adjustment / name).unlink(missing_ok=True)
 
@@ -163,6 +163,9 @@ def _write_rows(
 ) -> None:
     database = project.database
     spread = adjusted.covariances.shared()
+    # before the rows that name it: a run that is killed leaves nothing that cannot be read
+    if ground is not None and isinstance(ground.terrain, TinTerrain):
+        save_surface(project.adjustment / SURFACE, ground.terrain)
     with database.transaction():
         database.replace_rows("pose", poses, where={"kind": "adjusted"})
         for k, camera in enumerate(adjusted.cameras):
@@ -189,9 +192,16 @@ def _write_rows(
             before = database.meta("ground") or {}
             if "dem_unit_m" in before:
                 facts["dem_unit_m"] = before["dem_unit_m"]
-        database.set_meta(ground_adjusted=facts)
-    if ground is not None and isinstance(ground.terrain, TinTerrain):
-        save_surface(project.adjustment / SURFACE, ground.terrain)
+        database.set_meta(ground_adjusted=facts, adjustment={"control_points": _used(prepared)})
+
+
+def _used(prepared: Prepared) -> list[str]:
+    """Names of the points that the block was adjusted to."""
+    control, block = prepared.control, prepared.block.control
+    if control is None or block is None:
+        return []
+    seen = sorted({int(i) for i in block.point})
+    return [control.names[i] for i in seen if control.role[i] == "control"]
 
 
 def _flight_row(flight_id: str, values: Array, covariance: Array) -> dict[str, Any]:

@@ -17,7 +17,14 @@ from georef_gis.model.camera import Camera
 from georef_gis.model.control import ControlObservations
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.tie_points import TiePoints
-from georef_gis.orient.adjustment.block import Block, ControlInput, FlightPrior, GroundPrior
+from georef_gis.orient.adjustment.block import (
+    CAMERA_NAMES,
+    Block,
+    CameraPrior,
+    ControlInput,
+    FlightPrior,
+    GroundPrior,
+)
 from georef_gis.orient.adjustment.build import (
     R_turned_from_sensor,
     SensorViews,
@@ -113,10 +120,7 @@ def prepare(
         poses=tuple(view.pose for view in views.photos),
         start=tuple(start),
         camera_of=views.camera_of,
-        cameras=tuple(
-            camera_prior(c, calibrate=calibrate and c.id not in views.held, moving=moving)
-            for c in views.cameras
-        ),
+        cameras=tuple(_camera_prior(c, views, calibrate, moving) for c in views.cameras),
         flights=flights,
         ties=observed,
         control=_control_input(control, views, tuple(site.photos)),
@@ -131,6 +135,14 @@ def prepare(
         block=replace(block, ground=ground), first=first, views=views, turned=turned,
         control=control,
     )  # fmt: skip
+
+
+def _camera_prior(camera: Camera, views: SensorViews, calibrate: bool, moving: bool) -> CameraPrior:
+    """Prior of a camera; a skew cannot be told in pictures that lie on their side."""
+    prior = camera_prior(camera, calibrate=calibrate and camera.id not in views.held, moving=moving)
+    if any(degrees % 180 for degrees in views.turned_deg):
+        prior = replace(prior, sigma=np.where(np.array(CAMERA_NAMES) == "b2", 0.0, prior.sigma))
+    return prior
 
 
 def _of_photos(ties: TiePoints, ids: tuple[str, ...]) -> TiePoints:
@@ -226,8 +238,14 @@ def _control_input(
     if not keep:
         return None
     photo = np.array([number[control.photo_ids[k]] for k in keep])
-    uv = np.vstack([views.uv(int(i), control.uv[[k]]) for i, k in zip(photo, keep, strict=True)])
-    scale = np.array([views.scale(int(i)) for i in photo])
+    marks = [(int(i), control.uv[[k]]) for i, k in zip(photo, keep, strict=True)]
+    uv = np.vstack([views.uv(i, mark) for i, mark in marks])
+    scale = np.concatenate([views.scale(i, mark) for i, mark in marks])
+    seen = np.isfinite(uv[:, 0]) & np.isfinite(scale) & (scale > 0)
+    photo, uv, scale = photo[seen], uv[seen], scale[seen]
+    keep = [k for k, good in zip(keep, seen, strict=True) if good]
+    if not keep:
+        return None
     return ControlInput(
         names=control.names,
         p_enu=control.p_enu,

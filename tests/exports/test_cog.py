@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rasterio
-from conftest import make_frame, write_mosaic
 from rio_cogeo.cogeo import cog_validate
+from site_cases import make_frame, write_mosaic
 
 from exports.cog import write_cog
 from georef_gis.errors import ExportError

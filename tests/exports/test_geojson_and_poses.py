@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pyogrio
 import pytest
-from conftest import NASTY, make_site
 from shapely.geometry import shape
+from site_cases import NASTY, make_site
 
 from exports.geojson import write_geojson
 from exports.poses import write_geo_txt, write_reference_csv

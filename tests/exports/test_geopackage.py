@@ -7,8 +7,8 @@ from contextlib import closing
 
 import pyogrio
 import pytest
-from conftest import NASTY, make_site
 from lxml import etree
+from site_cases import NASTY, make_site
 
 from exports.geopackage import write_geopackage
 from georef_gis.errors import ExportError

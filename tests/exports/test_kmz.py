@@ -14,8 +14,8 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
-from conftest import NASTY, dot_places, make_frame, make_site, write_mosaic, write_photos
 from lxml import etree
+from site_cases import NASTY, dot_places, make_frame, make_site, write_mosaic, write_photos
 
 from exports.kml import KmzOptions, write_kml, write_kmz
 from georef_gis.errors import Cancelled, ExportError

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import NASTY, ORIGIN, make_site
+from site_cases import NASTY, ORIGIN, make_site
 
 from exports.site import SiteLayers, SitePhoto
 from exports.site_layers import split_at_gaps
@@ -128,8 +128,8 @@ def test_gimbal_lock_leaves_sigmas_open(site):
 
 
 def test_unknown_layer_is_refused_by_name(site):
-    with pytest.raises(ExportError, match=r"'control'.*footprints"):
-        site.layer("control")
+    with pytest.raises(ExportError, match=r"'mosaic'.*footprints"):
+        site.layer("mosaic")
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32617", "EPSG:6549"])

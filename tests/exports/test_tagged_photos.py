@@ -25,8 +25,8 @@ import numpy as np
 import piexif
 import pytest
 import tag_readers
-from conftest import ORIGIN, R_NADIR_NORTH, make_frame, make_site
 from PIL import Image
+from site_cases import ORIGIN, R_NADIR_NORTH, make_frame, make_site
 
 import exports.tagged_photos as tagged
 from exports.site import SiteLayers, SitePhoto

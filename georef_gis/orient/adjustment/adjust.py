@@ -15,13 +15,20 @@ from georef_gis.model.pose import Pose
 from georef_gis.model.tie_points import GroundPoints
 from georef_gis.orient.adjustment.block import FLIGHT_UNKNOWNS, Block
 from georef_gis.orient.adjustment.covariance import Covariances
+from georef_gis.orient.adjustment.flight_model import DOUBTED
 from georef_gis.orient.adjustment.kernels import CAMERA_UNKNOWNS
 from georef_gis.orient.adjustment.problem import Problem, State
 from georef_gis.orient.adjustment.solve import FINAL_SCALE, Cancelled, Solution, solve
 
 # of its sigma; a residual beyond is a wrong match and is taken out
 WRONG = 5.0
-ROUNDS = 4
+ROUNDS = 8
+# of a photo's matches: where more lie far off, they are held against its navigation
+CONTRADICTED = 0.5
+# of the photos of a flight that may be let loose
+MOST_FREED = 0.4
+# m and rad, one sigma of a navigation that is worth nothing
+LOOSE = np.array([300.0, 300.0, 300.0, 0.7, 0.7, 0.7])
 # gain in cost that ends a search whose answer is weighed anew
 ROUGH = 0.05
 # unknowns from which on the linear algebra may use threads
@@ -139,9 +146,9 @@ def adjust(
 def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Adjusted:
     block = problem.block
     solution = solve(problem, problem.start, gain=ROUGH, cancelled=cancelled)
+    solution, doubted = _freed(problem, solution, cancelled)
     tell(0.4, "first solution")
     removed = np.zeros(len(block.photo_ids), dtype=np.int64)
-    doubted: list[Doubted] = []
     sigma0 = 1.0
     for number in range(ROUNDS):
         problem, solution, out = _without_wrong(problem, solution)
@@ -158,6 +165,85 @@ def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Ad
         if settled:
             break
     return _answer(problem, solution, sigma0, removed, doubted)
+
+
+def _freed(
+    problem: Problem, first: Solution, cancelled: Cancelled | None
+) -> tuple[Solution, list[Doubted]]:
+    """Solution where photos that all their matches contradict went where these put them.
+
+    A receiver that is sure of a wrong place outweighs any pixel, and its photo would stay there
+    while its matches are taken for wrong ones. Such photos are let loose; where their matches
+    agree among themselves, the navigation is what is weighed down.
+    """
+    loose = np.zeros(len(problem.block.photo_ids), dtype=np.bool_)
+    free = first
+    for _ in range(ROUNDS):
+        # the worst bend the block, and hide others that are wrong
+        more = _held_wrongly(problem, free.state, loose)
+        if not np.any(more):
+            break
+        loose |= more
+        _loosen(problem, more, 1.0)
+        # the loss begins where their pixels still count
+        scale = 3.0 * float(_contradicted(problem, problem.start)[1][loose].max())
+        free = solve(problem, problem.start, scale=scale, gain=ROUGH, cancelled=cancelled)
+    if not np.any(loose):
+        return first, []
+    _loosen(problem, loose, -1.0)
+    back = loose & (_contradicted(problem, free.state)[0] > CONTRADICTED)
+    state = replace(
+        free.state,
+        origin=np.where(back[:, None], first.state.origin, free.state.origin),
+        rotation=np.where(back[:, None, None], first.state.rotation, free.state.rotation),
+    )
+    doubted: list[Doubted] = []
+    # all at once: one that is still held would have its matches taken out
+    while found := _weigh_down(problem, state):
+        doubted += found
+    return replace(free, state=state), doubted
+
+
+def _held_wrongly(problem: Problem, state: State, loose: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Photos, beside those that are loose, whose matches contradict their navigation; (n,)."""
+    n = len(problem.block.photo_ids)
+    share, _ = _contradicted(problem, state)
+    count = np.bincount(problem.ties.photo, minlength=n)
+    out = np.zeros(n, dtype=np.bool_)
+    for flight in problem.flights:
+        seen = flight.prior.photos[count[flight.prior.photos] > 0]
+        bad = seen[(share[seen] > CONTRADICTED) & ~loose[seen]]
+        held = len(seen) - len(bad) - np.count_nonzero(loose[seen])
+        # where most of a flight is off, it is not single photos that are wrong
+        if held >= max((1.0 - MOST_FREED) * len(seen), 3):
+            out[bad] = True
+    return out
+
+
+def _contradicted(problem: Problem, state: State) -> tuple[Array, Array]:
+    """Share of each photo's matches that lie far off, and its median residual in sigmas; (n,)."""
+    n = len(problem.block.photo_ids)
+    _, r, _ = problem.image_cost(state, 0.0)
+    ratio = np.hypot(r[:, 0], r[:, 1]) / problem.sigma
+    good = ratio[np.isfinite(ratio)]
+    far = ~(ratio <= WRONG * max(float(np.median(good)) / 1.18 if len(good) else 1.0, 1.0))
+    count = np.bincount(problem.ties.photo, minlength=n)
+    share = np.bincount(problem.ties.photo, weights=far, minlength=n) / np.maximum(count, 1)
+    typical = np.zeros(n)
+    for i in np.flatnonzero(count):
+        own = ratio[problem.ties.photo == i]
+        own = own[np.isfinite(own)]
+        typical[i] = np.median(own) if len(own) else FINAL_SCALE
+    return share, typical
+
+
+def _loosen(problem: Problem, photos: NDArray[np.bool_], sign: float) -> None:
+    """Add what makes the navigation of some photos worth nothing, or take it off again."""
+    for flight in problem.flights:
+        here = photos[flight.prior.photos]
+        if np.any(here):
+            flight.extra[here] += sign * LOOSE**2
+            flight._invert()
 
 
 def _without_wrong(
@@ -203,15 +289,26 @@ def _kept(
 
 
 def _weigh_down(problem: Problem, state: State) -> list[Doubted]:
+    """Trust contradicted parts of single photos less, the worst of each flight first.
+
+    A wrong value bends the block, and makes other values of its neighbours look wrong too.
+    """
     found = []
     seen = np.bincount(problem.ties.photo, minlength=len(state.origin)) > 0
     for index, flight in enumerate(problem.flights):
         if np.count_nonzero(seen[flight.prior.photos]) < 3:
             continue
         d = flight.residual(state.origin, state.rotation, state.flights[index])
+        off, sigma = flight.foretold(d)
+        ratio = np.abs(off) / sigma
+        wrong = ratio > max(DOUBTED, 0.5 * float(ratio.max()))
+        if not np.any(wrong):
+            continue
+        flight.extra[wrong] += off[wrong] ** 2
+        flight._invert()
         found += [
-            Doubted(photo=photo, component=component, sigmas=sigmas)
-            for photo, component, sigmas in flight.weigh_down(d)
+            Doubted(photo=int(flight.prior.photos[i]), component=int(c), sigmas=float(ratio[i, c]))
+            for i, c in np.argwhere(wrong)
         ]
     return found
 
@@ -250,7 +347,7 @@ def _answer(
     doubted: list[Doubted],
 ) -> Adjusted:
     block, state = problem.block, solution.state
-    covariances = Covariances(problem, state, solution.scale)
+    covariances = Covariances(problem, state, solution.loss.signed)
     up = np.array([0.0, 0.0, state.level])
     poses = []
     for i, covariance in enumerate(covariances.poses()):
@@ -272,7 +369,7 @@ def _answer(
         _camera(p.camera, state.cameras[k], spread, block.camera_at(k))
         for k, p in enumerate(block.cameras)
     )
-    _, r, _ = problem.image_cost(state, solution.scale**2)
+    _, r, _ = problem.image_cost(state, solution.loss.signed)
     n = block.ties.n_points
     each = covariances.points()
     places = state.points + up

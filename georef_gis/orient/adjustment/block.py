@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +23,8 @@ FLIGHT_NAMES = (
     "bias_e", "bias_n", "bias_u", "clock",
 )  # fmt: skip
 FLIGHT_UNKNOWNS = len(FLIGHT_NAMES)
+# photos from which on a block is kept as a band, and joint covariances are asked for by parts
+LARGE = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +58,8 @@ class FlightPrior:
     photos : shape (n,)
         Indices of the flight's photos in the block, each photo in one flight.
     covariance : shape (6 n, 6 n)
-        Of the pose errors without what is shared; `white` included.
+        Of the pose errors without what is shared; `white` included. None for a long flight,
+        which has `joint` instead.
     white : shape (n, 6, 6)
         The part of it that is each photo's own; grows where a photo contradicts the others.
     R_enu_from_body : shape (n, 3, 3)
@@ -64,24 +67,43 @@ class FlightPrior:
         Zero where unknown, and then the clock cannot be estimated.
     shared_covariance : shape (10, 10)
         A zero on the diagonal holds an unknown fast.
+    times : shape (n,), s
+        Of the exposures, from any zero.
+    joint
+        Joint covariance of some of the photos, by their places in `photos`: (k,) -> (6 k, 6 k).
     """
 
     id: str
     photos: NDArray[np.int64]
-    covariance: Array
+    covariance: Array | None
     white: Array
     R_enu_from_body: Array
     velocity_enu: Array
     rate_enu: Array
     shared_covariance: Array
+    times: Array | None = None
+    joint: Callable[[NDArray[np.int64]], Array] | None = None
 
     def __post_init__(self) -> None:
         """Check shapes."""
         n = len(self.photos)
-        if self.covariance.shape != (6 * n, 6 * n) or self.white.shape != (n, 6, 6):
+        if self.covariance is None and (self.joint is None or self.times is None):
+            raise ValueError(f"flight {self.id}: covariance, or joint and times, must be given")
+        whole = self.covariance is None or self.covariance.shape == (6 * n, 6 * n)
+        if not whole or self.white.shape != (n, 6, 6):
             raise ValueError(f"flight {self.id}: covariance must be (6 n, 6 n), white (n, 6, 6)")
         if self.shared_covariance.shape != (FLIGHT_UNKNOWNS, FLIGHT_UNKNOWNS):
             raise ValueError(f"flight {self.id}: shared_covariance must be 10 x 10")
+
+    def sigmas(self) -> Array:
+        """One sigma of each pose error without what is shared; (n, 6), m and rad."""
+        n = len(self.photos)
+        if self.covariance is not None:
+            return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(n, 6))
+        if self.joint is None:
+            raise ValueError(f"flight {self.id}: has no covariance")
+        each = [np.diag(self.joint(np.array([i]))) for i in range(n)]
+        return np.asarray(np.sqrt(np.array(each)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

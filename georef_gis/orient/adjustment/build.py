@@ -19,6 +19,8 @@ from georef_gis.orient.adjustment.block import Block, marked_points
 
 # px; the virtual camera in which photos of other models are adjusted has at most this error
 VIRTUAL_FOCAL = 1000.0
+# cosine of the angle off the axis from which on a pinhole stretches too much: 80 deg
+LEAST_AHEAD = 0.17
 
 
 def R_turned_from_sensor(degrees: int) -> Array:
@@ -59,28 +61,39 @@ class SensorViews:
     held: tuple[str, ...]
 
     def uv(self, index: int, uv: Array) -> Array:
-        """Pixels of the camera of `cameras` from those of the stored photo; (m, 2)."""
+        """Pixels of the camera of `cameras` from those of the stored photo; (m, 2).
+
+        NaN where the lens looks further off its axis than a pinhole can.
+        """
         own = self.photos[index].camera
         out = uv_in_sensor(uv, own.width, own.height, self.turned_deg[index])
         camera = self.cameras[self.camera_of[index]]
         if camera.model == own.model:
             return out
         d = own.ray(out)
-        return np.asarray(VIRTUAL_FOCAL * d[:, :2] / d[:, 2:])
+        ahead = np.where(d[:, 2:] > LEAST_AHEAD, d[:, 2:], np.nan)
+        return np.asarray(VIRTUAL_FOCAL * d[:, :2] / ahead)
 
-    def scale(self, index: int) -> float:
-        """Pixels of the adjustment per pixel of the photo."""
+    def scale(self, index: int, uv: Array) -> Array:
+        """Pixels of the adjustment per pixel of the photo about places in it; (m, 2) -> (m,)."""
         own, camera = self.photos[index].camera, self.cameras[self.camera_of[index]]
-        return 1.0 if camera.model == own.model else VIRTUAL_FOCAL / own.fx
+        if camera.model == own.model:
+            return np.ones(len(uv))
+        along = [self.uv(index, uv + half) - self.uv(index, uv - half) for half in np.eye(2) / 2]
+        return np.asarray(np.sqrt(np.abs(np.linalg.det(np.stack(along, axis=-1)))))
 
     def observations(self, ties: TiePoints) -> TiePoints:
-        """Tie points in the pixels of the sensors."""
+        """Tie points in the pixels of the sensors; those that a pinhole cannot see fall away."""
         uv, sigma = ties.uv.copy(), ties.sigma.copy()
         for i in np.unique(ties.photo):
             mine = ties.photo == i
             uv[mine] = self.uv(int(i), ties.uv[mine])
-            sigma[mine] *= self.scale(int(i))
-        return replace(ties, uv=uv, sigma=sigma)
+            sigma[mine] *= self.scale(int(i), ties.uv[mine])
+        seen = np.all(np.isfinite(uv), axis=1) & np.isfinite(sigma) & (sigma > 0)
+        if np.all(seen):
+            return replace(ties, uv=uv, sigma=sigma)
+        whole = replace(ties, uv=np.where(seen[:, None], uv, 0.0), sigma=np.where(seen, sigma, 1.0))
+        return whole.selected(seen)
 
     def stored_pose(self, index: int, pose: Pose) -> Pose:
         """Pose of the stored picture from that of the sensor."""

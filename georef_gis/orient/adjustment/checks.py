@@ -90,26 +90,33 @@ def _connected(adjusted: Adjusted) -> NDArray[np.intp]:
 
 
 def _angles(adjusted: Adjusted) -> list[Check]:
-    """Turns of the poses against their own sigmas, mount and clock taken off."""
+    """Turns of the poses against all that was known of them, the mount included."""
     out = []
     state = adjusted.solution.state
     for index, flight in enumerate(adjusted.problem.flights):
-        d = flight.residual(state.origin, state.rotation, state.flights[index])
-        sigma = np.sqrt(np.diag(flight.prior.covariance).reshape(-1, 6)[:, 3:])
-        seen = np.isin(flight.prior.photos, _connected(adjusted))
+        prior, shared = flight.prior, state.flights[index].copy()
+        shared[3:6] = 0.0
+        d = flight.residual(state.origin, state.rotation, shared)
+        R = prior.R_enu_from_body
+        mount = np.einsum("nij,jk,nik->ni", R, prior.shared_covariance[3:6, 3:6], R)
+        sigma = np.sqrt(prior.sigmas()[:, 3:] ** 2 + mount)
+        seen = np.isin(prior.photos, _connected(adjusted))
         if not np.any(seen):
             continue
-        ratio = np.median(np.abs(d[seen, 3:]) / np.maximum(sigma[seen], 1e-6))
+        # axis by axis: a block that tilts turns about one of them
+        ratio = np.max(np.median(np.abs(d[seen, 3:]) / np.maximum(sigma[seen], 1e-6), axis=0))
         degrees = np.degrees(np.median(np.linalg.norm(d[seen, 3:], axis=1)))
         typical = np.degrees(np.median(np.linalg.norm(sigma[seen], axis=1)))
-        name = f"turn of the photos of {flight.prior.id}"
+        name = f"turn of the photos of {prior.id}"
         out.append(_check(name, degrees, 0.0, typical, "deg", passed=bool(ratio <= REFUSED)))
     return out
 
 
 def _scale(adjusted: Adjusted) -> list[Check]:
     """Size of the block by the distances between the photos' positions."""
-    seen = _connected(adjusted)
+    # places that were weighed down say nothing of the size
+    doubted = {d.photo for d in adjusted.doubted if d.component < 2}
+    seen = [i for i in _connected(adjusted) if i not in doubted]
     if len(seen) < 3:
         return []
     block = adjusted.block

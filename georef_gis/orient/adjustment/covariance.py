@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.linalg.lapack import dpocon
+from numpy.typing import NDArray
 
 from georef_gis.frames import Array
+from georef_gis.orient.adjustment.banded import BandedFactor
+from georef_gis.orient.adjustment.dense import DenseFactor
 from georef_gis.orient.adjustment.kernels import point_covariances, point_rows
 from georef_gis.orient.adjustment.problem import Problem, State
 
@@ -20,55 +21,70 @@ class Covariances:
     what its own pixels leave open. Where control gives the level, heights include it.
     """
 
-    def __init__(self, problem: Problem, state: State, scale: float, factor: float = 1.0) -> None:
+    def __init__(self, problem: Problem, state: State, loss: float, factor: float = 1.0) -> None:
         """Factor the normal matrix at a state.
 
         Parameters
         ----------
-        scale
-            Of the loss, as the solution has it.
+        loss
+            As the solution has it (`Loss.signed`).
         factor
             What all covariances are multiplied by (sigma0 squared, if it applies).
         """
         self._problem, self._state, self._factor_scale = problem, state, factor
-        self._scale2 = scale * scale
-        H, _ = problem.dense_normal(state, problem.reduced(state, self._scale2, 0.0))
-        self.diagonal = np.diag(H).copy()
-        self._norm = 1.0 / np.sqrt(self.diagonal)
-        H *= self._norm[:, None]
-        H *= self._norm
-        self._factor = cho_factor(H, lower=True, overwrite_a=True, check_finite=False)
+        self._scale2 = loss
+        reduced = problem.reduced(state, self._scale2, 0.0)
+        self._factor, _ = problem.factor(state, reduced, 0.0)
         self._n = 6 * len(state.origin)
         self.with_level = problem.block.sigma_level > 0
         self._inverse: Array | None = None
+        self._band: tuple[Array, Array, Array] | None = None
 
     @property
     def size(self) -> int:
         """Number of unknowns without the points."""
-        return len(self._norm)
+        return self._n + self._problem.block.n_shared
 
     def of_rows(self, rows: Array) -> Array:
         """Covariance of linear functions of the unknowns; (k, N) -> (k, k)."""
-        half = cho_solve(self._factor, (rows * self._norm).T, check_finite=False)
-        return np.asarray(self._factor_scale * (rows * self._norm) @ half)
+        return np.asarray(self._factor_scale * rows @ self._factor.solve(rows.T))
 
     def inverse(self) -> Array:
-        """Covariance of all poses and shared unknowns, (N, N); kept once asked for."""
+        """Covariance of all poses and shared unknowns, (N, N); kept once asked for.
+
+        Of a large block it does not fit: ask for what is needed.
+        """
         if self._inverse is None:
-            full = cho_solve(self._factor, np.eye(self.size), check_finite=False)
-            full *= self._norm[:, None]
-            full *= self._norm * self._factor_scale
+            full = self._factor.solve(np.eye(self.size)) * self._factor_scale
             held = self._n + np.flatnonzero(~self._problem.free)
             full[held], full[:, held] = 0.0, 0.0
             self._inverse = full
         return self._inverse
 
     def condition(self) -> float:
-        """Condition of the normal matrix with unit diagonal (LAPACK's estimate, 1-norm)."""
-        lower = np.tril(self._factor[0])
-        norm = float(np.abs(lower @ lower.T).sum(axis=0).max())
-        reciprocal, _ = dpocon(self._factor[0], norm, uplo="L")
-        return float(1.0 / max(reciprocal, 1e-300))
+        """Condition of the normal matrix with unit diagonal; NaN for large blocks."""
+        return self._factor.condition() if isinstance(self._factor, DenseFactor) else float("nan")
+
+    def _selected(self) -> tuple[Array, Array, Array]:
+        """Band of the inverse, border and corner of a large block; kept once asked for."""
+        if self._band is None:
+            if not isinstance(self._factor, BandedFactor):
+                raise ValueError("only large blocks keep a band")
+            band, to_shared, shared = self._factor.selected_inverse()
+            held = np.flatnonzero(~self._problem.free)
+            shared[held], shared[:, held] = 0.0, 0.0
+            self._band = band, to_shared, shared
+        return self._band
+
+    def _lookup(self) -> tuple[Array, Array, NDArray[np.int64], Array, Array, Array]:
+        """Inverse as the kernels take it: whole, or band, places, border, corner."""
+        none, nobody = np.zeros((1, 1)), np.zeros(0, dtype=np.int64)
+        if isinstance(self._factor, DenseFactor):
+            return self.inverse() / self._factor_scale, none, nobody, none, none, none
+        band, to_shared, shared = self._selected()
+        spread = np.ascontiguousarray(to_shared @ shared)
+        place = self._factor.order.position
+        return none, band, place, np.ascontiguousarray(to_shared), spread, shared
 
     # -- rows of what is asked for -------------------------------------------------------------
 
@@ -136,23 +152,34 @@ class Covariances:
 
     def poses(self) -> Array:
         """Covariance of every pose alone; (n, 6, 6)."""
-        n, inverse = self._n // 6, self.inverse()
-        blocks = inverse[: self._n, : self._n].reshape(n, 6, n, 6)
-        out = blocks[np.arange(n), :, np.arange(n), :].copy()
+        n = self._n // 6
+        if isinstance(self._factor, DenseFactor):
+            inverse = self.inverse()
+            blocks = inverse[: self._n, : self._n].reshape(n, 6, n, 6)
+            out = blocks[np.arange(n), :, np.arange(n), :].copy()
+            with_shared = inverse[: self._n, -1].reshape(n, 6)
+        else:
+            band, to_shared, shared = self._selected()
+            place = self._factor.order.position.reshape(n, 6)
+            i, j = place[:, :, None], place[:, None, :]
+            out = band[np.abs(i - j), np.minimum(i, j)]
+            Y = to_shared.reshape(n, 6, -1)
+            out = (out + np.einsum("nig,gh,njh->nij", Y, shared, Y)) * self._factor_scale
+            with_shared = -(to_shared @ shared)[:, -1].reshape(n, 6) * self._factor_scale
         if self.with_level:
-            cross = inverse[: self._n, -1].reshape(n, 6)
-            out[:, :, 2] += cross
-            out[:, 2, :] += cross
-            out[:, 2, 2] += inverse[-1, -1]
+            out[:, :, 2] += with_shared
+            out[:, 2, :] += with_shared
+            out[:, 2, 2] += self.shared()[-1, -1]
         return np.asarray((out + np.swapaxes(out, 1, 2)) / 2)
 
     def shared(self) -> Array:
         """Covariance of all shared unknowns, (G, G); zero where one is held."""
-        return self.inverse()[self._n :, self._n :]
+        if isinstance(self._factor, DenseFactor):
+            return self.inverse()[self._n :, self._n :]
+        return self._selected()[2] * self._factor_scale
 
     def points(self) -> Array:
         """Covariance of every point alone, (k, 3, 3); NaN where one cannot be placed."""
         out = np.zeros((len(self._problem.span) - 1, 3, 3))
-        inverse = self.inverse() / self._factor_scale
-        point_covariances(*self._arguments(), inverse, self.with_level, out)
+        point_covariances(*self._arguments(), self._lookup(), self.with_level, out)
         return out * self._factor_scale

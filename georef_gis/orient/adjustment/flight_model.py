@@ -48,6 +48,8 @@ class FlightModel:
     def _invert(self) -> None:
         n = len(self.prior.photos)
         own = np.tile(FLOOR**2, n) + self.extra.ravel()
+        if self.prior.covariance is None:
+            raise ValueError(f"flight {self.prior.id}: is too long for a whole covariance")
         covariance = self.prior.covariance + np.diag(own)
         # Metres and radians side by side: scaled to a unit diagonal before it is inverted.
         scale = 1.0 / np.sqrt(np.diag(covariance))
@@ -72,8 +74,7 @@ class FlightModel:
 
     def cost(self, d: Array, shared: Array) -> float:
         """Half the squared normalised residuals of the poses and of what they share."""
-        flat = d.ravel()
-        own = float(flat @ self.information @ flat)
+        own = float(np.sum(d * self.times(d[:, :, None])[:, :, 0]))
         return 0.5 * (own + float(shared @ self.shared_information @ shared))
 
     def derivatives(self, d: Array) -> tuple[Array, Array]:
@@ -94,29 +95,44 @@ class FlightModel:
         B[:, 3:, 9] = np.einsum("nij,nj->ni", right, prior.rate_enu)
         return A, B
 
+    def times(self, x: Array) -> Array:
+        """Information of the poses times columns; (n, 6, k) -> (n, 6, k)."""
+        return np.asarray(self.information @ x.reshape(-1, x.shape[2])).reshape(x.shape)
+
+    def own_blocks(self) -> Array:
+        """Information of each pose when all others are known; (n, 6, 6)."""
+        n = len(self.prior.photos)
+        blocks = self.information.reshape(n, 6, n, 6)
+        return np.asarray(blocks[np.arange(n), :, np.arange(n), :])
+
+    def pose_normal(self, A: Array) -> Array:
+        """A^T information A, (6 n, 6 n)."""
+        n = len(self.prior.photos)
+        L = self.information.reshape(n, 6, n, 6)
+        LA = np.einsum("aibj,bjk->aibk", L, A)
+        return np.asarray(np.einsum("aij,aibk->ajbk", A, LA).reshape(6 * n, 6 * n))
+
     def normal(self, d: Array, shared: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Normal equations of the prior.
 
         Returns
         -------
-        poses : shape (6 n, 6 n)
+        A : shape (n, 6, 6)
+            For `pose_normal`.
         border : shape (6 n, 10)
         corner : shape (10, 10)
         rhs_pose, rhs_shared : shapes (6 n,), (10,)
         """
         n = len(self.prior.photos)
         A, B = self.derivatives(d)
-        L = self.information.reshape(n, 6, n, 6)
-        LA = np.einsum("aibj,bjk->aibk", L, A)
-        poses = np.einsum("aij,aibk->ajbk", A, LA).reshape(6 * n, 6 * n)
         flat = B.reshape(6 * n, FLIGHT_UNKNOWNS)
-        LB = self.information @ flat
-        border = -np.einsum("aij,aik->ajk", A, LB.reshape(n, 6, -1)).reshape(6 * n, -1)
-        corner = flat.T @ LB + self.shared_information
-        Ld = (self.information @ d.ravel()).reshape(n, 6)
+        LB = self.times(B)
+        border = -np.einsum("aij,aik->ajk", A, LB).reshape(6 * n, -1)
+        corner = flat.T @ LB.reshape(6 * n, -1) + self.shared_information
+        Ld = self.times(d[:, :, None])[:, :, 0]
         rhs_pose = -np.einsum("aij,ai->aj", A, Ld).ravel()
         rhs_shared = flat.T @ Ld.ravel() - self.shared_information @ shared
-        return poses, border, corner, rhs_pose, rhs_shared
+        return A, border, corner, rhs_pose, rhs_shared
 
     def foretold(self, d: Array) -> tuple[Array, Array]:
         """How far each pose error lies off what those of the other photos foretell, and its sigma.
@@ -130,10 +146,8 @@ class FlightModel:
         Leave-one-out residuals of a Gaussian process: Rasmussen and Williams, "Gaussian Processes
         for Machine Learning" (2006), eq. 5.12, block by block.
         """
-        n = len(self.prior.photos)
-        L = self.information.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n), :]
-        own = np.linalg.inv(L)
-        off = np.einsum("aij,aj->ai", own, (self.information @ d.ravel()).reshape(n, 6))
+        own = np.linalg.inv(self.own_blocks())
+        off = np.einsum("aij,aj->ai", own, self.times(d[:, :, None])[:, :, 0])
         return off, np.sqrt(np.einsum("aii->ai", own))
 
     def weigh_down(self, d: Array) -> list[tuple[int, int, float]]:

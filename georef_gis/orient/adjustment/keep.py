@@ -11,6 +11,7 @@ from georef_gis.errors import InputError
 from georef_gis.model.tie_points import GroundPoints, TiePoints
 from georef_gis.orient.adjustment.adjust import Adjusted
 from georef_gis.project.columns_file import read_columns, write_columns
+from georef_gis.project.joint_covariance import KIND
 
 POINTS, RESIDUALS, COVARIANCE = "points.npz", "residuals.npz", "covariance.npz"
 POINTS_KIND, TIES_KIND = "ground points", "tie points"
@@ -39,13 +40,18 @@ def load_ties(path: Path) -> TiePoints:
         If the file is missing, cut off or none of ours.
     """
     read = read_columns(path, TIES_KIND)
-    return TiePoints(
-        photo_ids=tuple(str(name) for name in read["photo_ids"]),
-        photo=read["photo"].astype(np.int32),
-        point=read["point"].astype(np.int32),
-        uv=read["uv"],
-        sigma=read["sigma"],
-    )
+    try:
+        return TiePoints(
+            photo_ids=tuple(str(name) for name in read["photo_ids"]),
+            photo=read["photo"].astype(np.int32),
+            point=read["point"].astype(np.int32),
+            uv=read["uv"],
+            sigma=read["sigma"],
+        )
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"holds no tie points ({error}); run `georef match --force`", source=str(path)
+        ) from error
 
 
 def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
@@ -79,7 +85,7 @@ def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
         "covariance": adjusted.covariances.inverse(),
         "with_level": int(adjusted.covariances.with_level),
     }
-    write_columns(kept, "joint covariance", columns)
+    write_columns(kept, KIND, columns)
     return {**files, COVARIANCE: kept}
 
 

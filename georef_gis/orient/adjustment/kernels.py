@@ -109,9 +109,17 @@ def _observe(P, C, R, motion, cam, height, uv, r, Jx, Jp, Jc, with_jacobians):  
 
 @compiled
 def _weight(chi2, scale2):  # type: ignore[no-untyped-def]
-    """Cauchy's cost and weight of a squared normalised residual; no loss where scale2 is 0."""
-    if scale2 <= 0.0:
+    """Cost and weight of a squared normalised residual.
+
+    Cauchy's loss, or Huber's where `scale2` is negative, or none where it is 0.
+    """
+    if scale2 == 0.0:
         return chi2, 1.0
+    if scale2 < 0.0:
+        if chi2 <= -scale2:
+            return chi2, 1.0
+        bend = np.sqrt(-scale2 / chi2)
+        return 2.0 * bend * chi2 + scale2, bend
     return scale2 * np.log1p(chi2 / scale2), 1.0 / (1.0 + chi2 / scale2)
 
 
@@ -363,6 +371,120 @@ def move_points(obs, state, place, span, camera_of, settings, step, out):  # typ
 
 
 @compiled
+def _point_cost(j, k0, k1, p, obs, state, place, settings, buffers):  # type: ignore[no-untyped-def]
+    """Cost of one point at a place."""
+    photo, _, uv, sigma, camera_of, height = obs
+    origin, rotation, motion, cameras, _ = state
+    rs, Jxs, Jps, Jcs, _ = buffers
+    scale2, _, level, _ = settings
+    cost = 0.0
+    for k in range(k0, k1):
+        i = photo[k]
+        c = camera_of[i]
+        seen = _observe(
+            p, origin[i], rotation[i], motion[i], cameras[c], height[c], uv[k],
+            rs[0], Jxs[0], Jps[0], Jcs[0], False,
+        )  # fmt: skip
+        s2 = sigma[k] * sigma[k]
+        chi2 = (rs[0, 0] * rs[0, 0] + rs[0, 1] * rs[0, 1]) / s2 if seen else 1e8
+        cost += _weight(chi2, scale2)[0]
+    for q in range(3):
+        off = place[1][j, q] - p[q]
+        if q == 2 and place[3][j]:
+            off -= level
+        cost += place[2][j, q] * off * off
+    return cost
+
+
+@compiled
+def place_points(obs, state, place, span, settings, out):  # type: ignore[no-untyped-def]
+    """Better places of the points, (k, 3), for cameras that stay; each one's cost falls."""
+    scale2, _, level, _ = settings
+    rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
+    Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
+    Jcs = np.zeros((MAX_RAYS, 2, CAMERA_UNKNOWNS))
+    buffers = (rs, Jxs, Jps, Jcs, who)
+    V, Vi, b, trial = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for j in range(len(span) - 1):
+        for p in range(3):
+            out[j, p] = state[4][j, p]
+        before = _point_cost(j, span[j], span[j + 1], out[j], obs, state, place, settings, buffers)
+        own = 1e-6
+        for _attempt in range(4):
+            n = _gather(span[j], span[j + 1], obs, state, scale2, buffers)
+            _point_normal(n, j, buffers, place, own, level, V, b)
+            if not _invert3(V, Vi):
+                break
+            for p in range(3):
+                step = Vi[p, 0] * b[0] + Vi[p, 1] * b[1] + Vi[p, 2] * b[2]
+                trial[p] = state[4][j, p] + step
+            after = _point_cost(
+                j, span[j], span[j + 1], trial, obs, state, place, settings, buffers
+            )
+            if after <= before:
+                for p in range(3):
+                    out[j, p] = trial[p]
+                break
+            own = own * 1000.0
+
+
+@compiled
+def band_inverse(factor, out):  # type: ignore[no-untyped-def]
+    """Entries of the inverse within the band of a lower Cholesky factor, (width, n) both.
+
+    Entry (k, j) stands for row j + k of column j.
+    """
+    width, n = factor.shape
+    for j in range(n - 1, -1, -1):
+        most = min(width - 1, n - 1 - j)
+        pivot = factor[0, j]
+        for k in range(most, 0, -1):
+            i = j + k
+            total = 0.0
+            for m in range(1, most + 1):
+                c = j + m
+                if i >= c:
+                    total += factor[m, j] * out[i - c, c]
+                else:
+                    total += factor[m, j] * out[c - i, i]
+            out[k, j] = -total / pivot
+        total = 0.0
+        for m in range(1, most + 1):
+            total += factor[m, j] * out[m, j]
+        out[0, j] = (1.0 / pivot - total) / pivot
+        for k in range(most + 1, width):
+            out[k, j] = 0.0
+
+
+@compiled
+def _gather_inverse(inverse, index, size, n_pose, out):  # type: ignore[no-untyped-def]
+    """Covariance of some unknowns into a corner of a square array."""
+    dense, band, place, to_shared, spread, shared = inverse
+    whole = len(place) == 0
+    for s in range(size):
+        a = index[s]
+        for t in range(s + 1):
+            b = index[t]
+            if whole:
+                value = dense[a, b]
+            elif a >= n_pose and b >= n_pose:
+                value = shared[a - n_pose, b - n_pose]
+            elif a >= n_pose:
+                value = -spread[b, a - n_pose]
+            elif b >= n_pose:
+                value = -spread[a, b - n_pose]
+            else:
+                i, k = place[a], place[b]
+                if i < k:
+                    i, k = k, i
+                value = band[i - k, k] if i - k < band.shape[0] else 0.0
+                for g in range(to_shared.shape[1]):
+                    value += spread[a, g] * to_shared[b, g]
+            out[s, t] = value
+            out[t, s] = value
+
+
+@compiled
 def point_rows(j, obs, state, place, span, camera_of, settings, at_shared, rows, own):  # type: ignore[no-untyped-def]
     """How point j follows the other unknowns, (3, N), and its covariance when they are known.
 
@@ -408,7 +530,13 @@ def point_covariances(obs, state, place, span, camera_of, settings, inverse, wit
     n_pose = 6 * len(state[0])
     most = 6 * MAX_RAYS + 64 * CAMERA_UNKNOWNS
     index = np.zeros(most, np.int64)
-    A = np.zeros((3, most))
+    A, AM = np.zeros((3, most)), np.zeros((3, most))
+    widest = 0
+    for j in range(len(span) - 1):
+        widest = max(widest, min(span[j + 1] - span[j], MAX_RAYS))
+    # every camera of the point brings its own unknowns
+    side = (6 + CAMERA_UNKNOWNS) * widest + 1
+    M = np.zeros((side, side))
     K = CAMERA_UNKNOWNS
     for j in range(len(span) - 1):
         n = _gather(span[j], span[j + 1], obs, state, scale2, buffers)
@@ -456,13 +584,17 @@ def point_covariances(obs, state, place, span, camera_of, settings, inverse, wit
                 if place[3][j]:
                     A[p, size] -= Vi[p, 2] * place[2][j, 2]
             size += 1
+        _gather_inverse(inverse, index, size, n_pose, M)
+        for p in range(3):
+            for t in range(size):
+                total = 0.0
+                for s in range(size):
+                    total += A[p, s] * M[s, t]
+                AM[p, t] = total
         for p in range(3):
             for q in range(p, 3):
                 total = Vi[p, q]
-                for s in range(size):
-                    part = 0.0
-                    for t in range(size):
-                        part += inverse[index[s], index[t]] * A[q, t]
-                    total += A[p, s] * part
+                for t in range(size):
+                    total += AM[p, t] * A[q, t]
                 out[j, p, q] = total
                 out[j, q, p] = total

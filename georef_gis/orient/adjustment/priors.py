@@ -12,7 +12,7 @@ from georef_gis.frames import R_BODY_FROM_CAM_NADIR, Array
 from georef_gis.model.camera import Camera
 from georef_gis.model.photo import OrientedPhoto, Photo
 from georef_gis.model.trajectory import StateChain
-from georef_gis.orient.adjustment.block import CameraPrior, FlightPrior
+from georef_gis.orient.adjustment.block import LARGE, CameraPrior, FlightPrior
 
 # How errors of tags hang together, as shares of their variance: the same over the flight, slow,
 # and each photo's own. A consumer receiver's error is mostly slow (2012 paper: minutes); angles of
@@ -87,28 +87,45 @@ def times_of(photos: Sequence[Photo]) -> Array:
 def velocities_of(photos: Sequence[Photo], origin: Array, times: Array) -> Array:
     """Velocities, m/s in enu: as tagged, or by the neighbours' places; zero where unknown; (n, 3).
 
-    A turn between lines gives a wrong value: neighbours count only if both legs agree.
+    A turn between lines, or a place that is wrong, gives a wrong leg: where the legs to both
+    neighbours disagree, the one that goes on straight counts, if only one does.
     """
     out = np.zeros((len(photos), 3))
     order = np.argsort(times, kind="stable")
     p, t = origin[order], times[order]
+    n = len(order)
+
+    def leg(k: int) -> Array | None:
+        """Velocity from place k to the next; None where there is none."""
+        if k < 0 or k + 1 >= n or t[k + 1] - t[k] <= 0.2:
+            return None
+        return np.asarray((p[k + 1] - p[k]) / (t[k + 1] - t[k]))
+
     for k, i in enumerate(int(i) for i in order):
         photo = photos[i]
         if photo.ground_speed is not None and photo.course is not None:
             level = np.array([np.sin(photo.course), np.cos(photo.course), 0.0])
             out[i] = photo.ground_speed * level
             continue
-        legs = [
-            (p[b] - p[a]) / (t[b] - t[a])
-            for a, b in ((k - 1, k), (k, k + 1))
-            if a >= 0 and b < len(t) and t[b] - t[a] > 0.2
-        ]
-        if len(legs) == 2 and np.linalg.norm(legs[0] - legs[1]) > 0.5 * np.linalg.norm(legs[0]):
-            continue
+        before, after = leg(k - 1), leg(k)
+        legs = [v for v in (before, after) if v is not None]
+        if not _alike(before, after):
+            further = (leg(k - 2), leg(k + 1))
+            straight = [v for v, w in zip((before, after), further, strict=True) if _alike(v, w)]
+            lonely = len(legs) == 1 and further[0] is None and further[1] is None
+            legs = straight if len(straight) == 1 else legs if lonely else []
         if legs:
             out[i] = np.asarray(np.mean(legs, axis=0))
             out[i, 2] = 0.0
     return out
+
+
+def _alike(a: Array | None, b: Array | None) -> bool:
+    """Whether two velocities are those of one straight line."""
+    if a is None or b is None:
+        return False
+    # clocks of whole seconds make one of two equal legs twice as fast
+    return bool(np.linalg.norm(a - b) <= 0.5 * max(np.linalg.norm(a), np.linalg.norm(b)))
 
 
 def tag_prior(
@@ -139,19 +156,33 @@ def tag_prior(
     local = np.swapaxes(T, 1, 2) @ covariance @ T
     sigma = np.sqrt(np.einsum("aii->ai", local))
     shares = np.array([POSITION_SHARES] * 3 + [TILT_SHARES] * 2 + [YAW_SHARES])
-    lag = np.abs(times[:, None] - times)
     tau = np.array([TAU_POSITION] * 3 + [TAU_ATTITUDE] * 3)
-    joint = np.zeros((n, 6, n, 6))
-    for c in range(6):
-        slow = shares[c, 1] * np.exp(-lag / tau[c])
-        joint[:, c, :, c] = np.outer(sigma[:, c], sigma[:, c]) * (slow + shares[c, 2] * np.eye(n))
-    joint = np.einsum("aij,ajbk,blk->aibl", T, joint, T).reshape(6 * n, 6 * n)
-    white = np.einsum("aij,aj,akj->aik", T, shares[:, 2] * sigma**2, T)
     origin = np.array([p.pose.origin_enu for p in photos])
     velocity = velocities_of([p.photo for p in photos], origin, times)
-    typical = np.sqrt(np.median(sigma**2, axis=0) * shares[:, 0])
-    boresight = mount.sigma_boresight
     clock = mount.sigma_clock if np.any(velocity) else 0.0
+    # what is each photo's own; one whose speed is not known is off by any clock error
+    own = shares[:, 2] * sigma**2
+    speed = np.linalg.norm(velocity, axis=1)
+    if np.any(speed):
+        own[speed == 0.0, :2] += (clock * np.median(speed[speed > 0.0])) ** 2
+    # what all share is no larger than the best photo allows: some may have a fixed receiver
+    typical = np.sqrt(np.min(sigma**2, axis=0) * shares[:, 0])
+    slow = np.sqrt(np.maximum((1.0 - shares[:, 2]) * sigma**2 - typical**2, 0.0))
+
+    def joint(indices: NDArray[np.int64]) -> Array:
+        """Covariance of some of the photos, what all share taken out."""
+        k, t, spread = len(indices), times[indices], slow[indices]
+        lag = np.abs(t[:, None] - t)
+        out = np.zeros((k, 6, k, 6))
+        for c in range(6):
+            out[:, c, :, c] = np.outer(spread[:, c], spread[:, c]) * np.exp(-lag / tau[c])
+            out[np.arange(k), c, np.arange(k), c] += own[indices, c]
+        turned = np.einsum("aij,ajbk,blk->aibl", T[indices], out, T[indices])
+        flat = turned.reshape(6 * k, 6 * k)
+        return np.asarray((flat + flat.T) / 2)
+
+    white = np.einsum("aij,aj,akj->aik", T, own, T)
+    boresight = mount.sigma_boresight
     shared = np.concatenate([
         np.full(3, mount.sigma_lever), typical[3:] if boresight is None else np.full(3, boresight),
         typical[:3], [clock],
@@ -159,12 +190,14 @@ def tag_prior(
     return FlightPrior(
         id=id,
         photos=indices,
-        covariance=(joint + joint.T) / 2,
+        covariance=joint(np.arange(n)) if n <= LARGE else None,
         white=white,
         R_enu_from_body=R_eb,
         velocity_enu=velocity,
         rate_enu=np.zeros((n, 3)),
         shared_covariance=np.diag(shared**2),
+        times=times,
+        joint=joint,
     )
 
 
@@ -191,9 +224,16 @@ def navigation_prior(
     chain = StateChain(
         time=exposures["time"], covariance=exposures["covariance"], gain=exposures["gain"]
     )
-    joint = np.einsum("aij,ajbk,blk->aibl", L, chain.joint().reshape(n, 6, n, 6), L)
-    joint[np.arange(n), :, np.arange(n), :] += own
-    flat = joint.reshape(6 * n, 6 * n)
+
+    def joint(indices: NDArray[np.int64]) -> Array:
+        """Covariance of some of the photos, what all share taken out."""
+        k = len(indices)
+        out = chain.joint(indices).reshape(k, 6, k, 6)
+        out = np.einsum("aij,ajbk,blk->aibl", L[indices], out, L[indices])
+        out[np.arange(k), :, np.arange(k), :] += own[indices]
+        flat = out.reshape(6 * k, 6 * k)
+        return np.asarray((flat + flat.T) / 2)
+
     shared = np.zeros((10, 10))
     shared[:9, :9] = exposures["mount_covariance"]
     still = np.zeros(3)
@@ -203,10 +243,12 @@ def navigation_prior(
     return FlightPrior(
         id=id,
         photos=indices,
-        covariance=(flat + flat.T) / 2,
+        covariance=joint(np.arange(n)) if n <= LARGE else None,
         white=own,
         R_enu_from_body=M[:, :3, :3],
         velocity_enu=np.array(velocity),
         rate_enu=np.array(rate),
         shared_covariance=shared,
+        times=exposures["time"],
+        joint=joint,
     )

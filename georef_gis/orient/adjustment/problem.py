@@ -6,25 +6,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from georef_gis.frames import Array, exp_so3
 from georef_gis.model.tie_points import TiePoints
+from georef_gis.orient.adjustment.banded import BandedFactor, BandOrder, band_order
 from georef_gis.orient.adjustment.block import (
     FLIGHT_UNKNOWNS,
+    LARGE,
     Block,
+    FlightPrior,
     camera_vector,
     joined_observations,
     marked_points,
     moved_camera_vector,
 )
+from georef_gis.orient.adjustment.dense import DenseFactor
 from georef_gis.orient.adjustment.flight_model import FlightModel
 from georef_gis.orient.adjustment.kernels import (
     CAMERA_UNKNOWNS,
     MAX_RAYS,
     move_points,
+    place_points,
     reduce_points,
     residuals,
 )
+from georef_gis.orient.adjustment.long_flight import LongFlightModel
 from georef_gis.orient.adjustment.whole_moves import WholeMove, whole_move
 
 # how often points are placed anew after a step of the poses
@@ -70,6 +77,37 @@ def pairs_of(observations: TiePoints, n: int) -> tuple[NDArray[np.int64], NDArra
     return start, pairs % n
 
 
+def _symmetric(
+    row: NDArray[np.int64], column: NDArray[np.int64], blocks: Array, n: int
+) -> bsr_matrix:
+    """Sparse symmetric matrix of one half of its blocks; (6 n, 6 n)."""
+    off = row != column
+    rows = np.concatenate([row, column[off]])
+    columns = np.concatenate([column, row[off]])
+    data = np.concatenate([blocks, np.swapaxes(blocks[off], 1, 2)])
+    order = np.lexsort((columns, rows))
+    start = np.searchsorted(rows[order], np.arange(n + 1))
+    return bsr_matrix((data[order], columns[order], start), shape=(6 * n, 6 * n))
+
+
+def _by_parts(prior: FlightPrior) -> FlightPrior:
+    """Prior whose joint covariance is asked for by parts."""
+    whole = prior.covariance
+    if prior.joint is not None and prior.times is not None:
+        return prior
+    if whole is None:
+        raise ValueError(f"flight {prior.id}: has no covariance")
+    view = whole.reshape(len(prior.photos), 6, len(prior.photos), 6)
+
+    def joint(indices: NDArray[np.int64]) -> Array:
+        k = len(indices)
+        part = view[indices][:, :, indices]
+        return np.asarray(part.reshape(6 * k, 6 * k))
+
+    times = np.arange(len(prior.photos), dtype=np.float64) if prior.times is None else prior.times
+    return replace(prior, joint=joint, times=times)
+
+
 class Problem:
     """A block made ready for the compiled loops."""
 
@@ -82,7 +120,10 @@ class Problem:
         poses = block.poses
         origin = np.array([pose.origin_enu for pose in poses])
         rotation = np.array([pose.R_enu_from_cam for pose in poses])
-        self.flights = [FlightModel(prior, origin, rotation) for prior in block.flights]
+        self.large = len(poses) > LARGE
+        model = LongFlightModel if self.large else FlightModel
+        priors = [_by_parts(p) for p in block.flights] if self.large else block.flights
+        self.flights = [model(prior, origin, rotation) for prior in priors]
         self.motion = np.zeros((len(poses), 6))
         for flight in block.flights:
             self.motion[flight.photos, :3] = flight.velocity_enu
@@ -92,6 +133,8 @@ class Problem:
         self.camera_information = self._camera_information()
         self.free = self._free()
         self.pattern = pairs_of(self.ties, len(poses))
+        if self.large:
+            self.order = self._band_order()
         self.sigma = self.ties.sigma.copy()
         self._know_points()
         start = block.start or poses
@@ -103,6 +146,21 @@ class Problem:
             flights=np.zeros((len(block.flights), FLIGHT_UNKNOWNS)),
             level=0.0,
         )
+
+    def _band_order(self) -> BandOrder:
+        """Order that keeps photos that see the same points, or follow each other, close."""
+        row, column = self._pairs()
+        rows, columns = [row], [column]
+        for flight in self.flights:
+            if isinstance(flight, LongFlightModel):
+                at, across, _ = flight.blocks(np.zeros((len(flight.prior.photos), 6, 6)))
+                rows.append(at)
+                columns.append(across)
+        i, j = np.concatenate(rows), np.concatenate(columns)
+        n = len(self.block.photo_ids)
+        ones = np.ones(2 * len(i))
+        both = np.concatenate([i, j]), np.concatenate([j, i])
+        return band_order(csr_matrix((ones, both), shape=(n, n)))
 
     def _camera_information(self) -> Array:
         sigma = np.concatenate([p.sigma for p in self.block.cameras])
@@ -196,52 +254,92 @@ class Problem:
             lost=int(lost),
         )  # fmt: skip
 
+    def factor(
+        self, state: State, reduced: Reduced, damping: float
+    ) -> tuple[DenseFactor | BandedFactor, Array]:
+        """Factor of the damped normal matrix of poses and shared unknowns, and right side (N,).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the matrix is not positive definite.
+        """
+        if not self.large:
+            H, rhs = self.dense_normal(state, reduced)
+            return DenseFactor(H, damping), rhs
+        poses, border, corner, rhs = self._band_normal(state, reduced)
+        return BandedFactor(poses, border, corner, self.order, damping), rhs
+
     def dense_normal(self, state: State, reduced: Reduced) -> tuple[Array, Array]:
         """Whole normal matrix of poses and shared unknowns, and right side; (N, N), (N,)."""
         n, G = len(state.origin), self.block.n_shared
         N = 6 * n + G
-        H, rhs = np.zeros((N, N)), np.zeros(N)
-        start, column = self.pattern
-        row = np.repeat(np.arange(n), np.diff(start))
+        H = np.zeros((N, N))
+        row, column = self._pairs()
         view = H[: 6 * n, : 6 * n].reshape(n, 6, n, 6)
         view[row, :, column, :] = reduced.blocks
         off = row != column
         view[column[off], :, row[off], :] = np.swapaxes(reduced.blocks[off], 1, 2)
-        H[: 6 * n, 6 * n :] = reduced.border.reshape(6 * n, G)
-        H[6 * n :, 6 * n :] = reduced.corner
-        rhs[: 6 * n], rhs[6 * n :] = reduced.rhs_pose.ravel(), reduced.rhs_shared
-        self._add_priors(state, H, rhs)
-        H[6 * n :, : 6 * n] = H[: 6 * n, 6 * n :].T
-        held = 6 * n + np.flatnonzero(~self.free)
-        H[held], H[:, held], rhs[held] = 0.0, 0.0, 0.0
-        H[held, held] = 1.0
+        border, corner, rhs, turned = self._with_priors(state, reduced)
+        for flight, A in zip(self.flights, turned, strict=True):
+            where = (6 * flight.prior.photos[:, None] + np.arange(6)).ravel()
+            if len(self.flights) == 1 and np.array_equal(where, np.arange(6 * n)):
+                H[: 6 * n, : 6 * n] += flight.pose_normal(A)
+            else:
+                H[np.ix_(where, where)] += flight.pose_normal(A)
+        H[: 6 * n, 6 * n :], H[6 * n :, : 6 * n] = border, border.T
+        H[6 * n :, 6 * n :] = corner
         return H, rhs
 
-    def _add_priors(self, state: State, H: Array, rhs: Array) -> None:
-        n = 6 * len(state.origin)
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        start, column = self.pattern
+        return np.repeat(np.arange(len(start) - 1), np.diff(start)), column
+
+    def _band_normal(
+        self, state: State, reduced: Reduced
+    ) -> tuple[bsr_matrix, Array, Array, Array]:
+        """Normal matrix of a large block: that of the poses sparse, border, corner, right side."""
+        n = len(state.origin)
+        border, corner, rhs, turned = self._with_priors(state, reduced)
+        row, column = self._pairs()
+        total = _symmetric(row, column, reduced.blocks, n)
+        for flight, A in zip(self.flights, turned, strict=True):
+            if not isinstance(flight, LongFlightModel):
+                raise ValueError("a large block needs long flights")
+            total = total + _symmetric(*flight.blocks(A), n)
+        return total, border, corner, rhs
+
+    def _with_priors(
+        self, state: State, reduced: Reduced
+    ) -> tuple[Array, Array, Array, list[Array]]:
+        """Border (6 n, G), corner and right side with all that is known; A of each flight."""
+        n, G = 6 * len(state.origin), self.block.n_shared
+        border, corner = reduced.border.reshape(n, G).copy(), reduced.corner.copy()
+        rhs = np.concatenate([reduced.rhs_pose.ravel(), reduced.rhs_shared])
+        turned = []
         for index, flight in enumerate(self.flights):
             shared = state.flights[index]
             d = flight.residual(state.origin, state.rotation, shared)
-            poses, border, corner, rhs_pose, rhs_shared = flight.normal(d, shared)
+            A, own_border, own_corner, rhs_pose, rhs_shared = flight.normal(d, shared)
+            turned.append(A)
             where = (6 * flight.prior.photos[:, None] + np.arange(6)).ravel()
-            at = n + self.block.flight_at(index)
+            at = self.block.flight_at(index)
             columns = slice(at, at + FLIGHT_UNKNOWNS)
-            if len(where) == n and np.array_equal(where, np.arange(n)):
-                H[:n, :n] += poses
-                H[:n, columns] += border
-            else:
-                H[np.ix_(where, where)] += poses
-                H[where, columns] += border
-            H[columns, columns] += corner
+            border[where, columns] += own_border
+            corner[columns, columns] += own_corner
             rhs[where] += rhs_pose
-            rhs[columns] += rhs_shared
+            rhs[n + at : n + at + FLIGHT_UNKNOWNS] += rhs_shared
         m = len(self.camera_information)
-        cameras = np.arange(n, n + m)
-        H[cameras, cameras] += self.camera_information
-        rhs[cameras] -= self.camera_information * self.shared_vector(state)[:m]
+        cameras = np.arange(m)
+        corner[cameras, cameras] += self.camera_information
+        rhs[n : n + m] -= self.camera_information * self.shared_vector(state)[:m]
         if self.block.sigma_level > 0:
-            H[-1, -1] += 1.0 / self.block.sigma_level**2
+            corner[-1, -1] += 1.0 / self.block.sigma_level**2
             rhs[-1] -= state.level / self.block.sigma_level**2
+        held = np.flatnonzero(~self.free)
+        border[:, held], corner[held], corner[:, held] = 0.0, 0.0, 0.0
+        corner[held, held], rhs[n + held] = 1.0, 0.0
+        return border, corner, rhs, turned
 
     def moved(self, state: State, step: Array, scale2: float, damping: float) -> State:
         """State after a step of poses and shared unknowns, the points following; (N,)."""
@@ -266,10 +364,17 @@ class Problem:
         # The rays of the new poses place the points better than the tangent of the old ones: far
         # fewer steps in the curved valleys of focal length, height and distortion.
         for _ in range(POINT_ROUNDS):
-            still = np.zeros((n, 6)), np.zeros(len(shared))
-            better = self._point_steps(there, *still, scale2, 1e-6)
-            there = replace(there, points=there.points + better)
+            there = self.with_placed_points(there, scale2)
         return there
+
+    def with_placed_points(self, state: State, scale2: float) -> State:
+        """State whose points lie better by the rays of its poses; none lies worse."""
+        points = np.empty_like(state.points)
+        place_points(
+            self.observations(), self.values(state), self.place(state), self.span,
+            (scale2, 0.0, state.level, self.block.n_shared - 1), points,
+        )  # fmt: skip
+        return replace(state, points=points)
 
     def _point_steps(
         self, state: State, pose: Array, shared: Array, scale2: float, damping: float
