@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Result
 from georef_gis.toolbox import parameters as p
@@ -27,6 +27,11 @@ class AdjustParameters(p.Parameters):
         True, title="Calibrate the camera",
         help="Focal length, principal point and distortion move as far as the photos tell them "
         "and their priors let them",
+    )  # fmt: skip
+    two_step: p.Flag = p.flag(
+        False, title="Two-step procedure beside it", advanced=True,
+        help="Boresight and lever arm by triangulation, then comparison with the navigation, "
+        "into adjustment/report.json",
     )  # fmt: skip
 
 
@@ -84,7 +89,8 @@ class Adjust(Algorithm[AdjustParameters]):
             for line in lines:
                 feedback.warn(line)
             return Result(summary={"used": False, "doubts": lines})
-        kept = save(context, site, prepared, adjusted, checks, notes)
+        beside = _two_step(project, prepared, adjusted) if parameters.two_step else None
+        kept = save(context, site, prepared, adjusted, checks, notes, two_step=beside)
         for line in kept.doubts:
             feedback.warn(line)
         for line in kept.notes:
@@ -131,3 +137,10 @@ def _adjusted(
         failed = next(check for check in checks if not check.passed)
         notes.append(f"with a free camera {failed.told()}: adjusted again with the camera held")
     return prepared, adjusted, checks, notes
+
+
+def _two_step(project: Project, prepared: Prepared, adjusted: Adjusted) -> dict[str, Any]:
+    from processing_algorithms.orient.direct import project_mount
+    from processing_algorithms.orient.two_step_beside import two_step_beside
+
+    return two_step_beside(prepared, adjusted, project_mount(project))

@@ -62,6 +62,8 @@ def save(
     adjusted: Adjusted,
     checks: Sequence[Check],
     notes: Sequence[str],
+    *,
+    two_step: dict[str, Any] | None = None,
 ) -> Kept:
     """Keep an adjustment in the project."""
     project = context.require_project()
@@ -79,6 +81,7 @@ def save(
     ]
     _write_rows(project, prepared, adjusted, rows, ground)
     report = _report(prepared, adjusted, checks, seen, ground)
+    report["two_step"] = two_step
     path = project.adjustment / REPORT
     part = path.with_name(path.name + ".part")
     part.write_text(json.dumps(report, indent=1), encoding="utf-8")

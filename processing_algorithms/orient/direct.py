@@ -59,7 +59,7 @@ class OrientDirect(Algorithm[p.Parameters]):
         ground, dem_unit = _ground(project, frame, photos, feedback)
         placed = [photo for photo in photos if photo.geotag is not None]
         heights = _heights(placed, frame, ground, project)
-        mount, settings = _mount(project), _settings(project, frame)
+        mount, settings = project_mount(project), _settings(project, frame)
         _check_names(settings, photos)
         poses = direct_poses(
             photos, frame.origin, heights, mount, settings, convergence_at=frame.convergence_at
@@ -226,7 +226,8 @@ def _heights(
     )
 
 
-def _mount(project: Project) -> Mount:
+def project_mount(project: Project) -> Mount:
+    """Mount as project.toml states it."""
     import numpy as np
 
     from georef_gis.model.pose import Mount

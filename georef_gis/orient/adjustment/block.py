@@ -95,6 +95,14 @@ class FlightPrior:
         if self.shared_covariance.shape != (FLIGHT_UNKNOWNS, FLIGHT_UNKNOWNS):
             raise ValueError(f"flight {self.id}: shared_covariance must be 10 x 10")
 
+    def whole_covariance(self) -> Array:
+        """Joint covariance of all photos, (6 n, 6 n), also of a long flight."""
+        if self.covariance is not None:
+            return self.covariance
+        if self.joint is None:
+            raise ValueError(f"flight {self.id}: has no covariance")
+        return self.joint(np.arange(len(self.photos)))
+
     def sigmas(self) -> Array:
         """One sigma of each pose error without what is shared; (n, 6), m and rad."""
         n = len(self.photos)

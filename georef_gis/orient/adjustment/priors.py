@@ -113,7 +113,8 @@ def velocities_of(photos: Sequence[Photo], origin: Array, times: Array) -> Array
             further = (leg(k - 2), leg(k + 1))
             straight = [v for v, w in zip((before, after), further, strict=True) if _alike(v, w)]
             lonely = len(legs) == 1 and further[0] is None and further[1] is None
-            legs = straight if len(straight) == 1 else legs if lonely else []
+            one = [v for v in straight if v is not None]
+            legs = one if len(one) == 1 else legs if lonely else []
         if legs:
             out[i] = np.asarray(np.mean(legs, axis=0))
             out[i, 2] = 0.0
