@@ -8,6 +8,7 @@ from processing_algorithms.measure.accuracy import Accuracy
 from processing_algorithms.measure.accuracy_table import AccuracyTable
 from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.measure_photo import MeasurePhoto
+from processing_algorithms.measure.report import Report
 from processing_algorithms.measure.where_to_click import WhereToClick
 from processing_algorithms.mosaic.mosaic import MosaicTool
 from processing_algorithms.navigate.compare_trajectory import CompareTrajectory
@@ -47,5 +48,6 @@ ALGORITHMS = (
     WhereToClick,
     Accuracy,
     AccuracyTable,
+    Report,
     MeasurePhoto,
 )

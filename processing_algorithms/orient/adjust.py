@@ -72,6 +72,10 @@ class Adjust(Algorithm[AdjustParameters]):
 
         project = context.require_project()
         site = load_site(project, direct=True)
+        if len(site.photos) < 2:
+            forget(project)
+            feedback.info("one photo alone: nothing to adjust")
+            return Result(summary={"used": False})
         control = project_control(project, site, feedback)
         try:
             found = _adjusted(project, site, control, parameters, feedback)

@@ -78,7 +78,8 @@ class Match(Algorithm[MatchParameters]):
         found = find_ties(
             photos, site.terrain, settings, cache=project.cache / "features", progress=told
         )
-        for doubt in found.doubts:
+        doubts = list(found.doubts) if len(photos) > 1 else []
+        for doubt in doubts:
             feedback.warn(doubt)
         folder = project.adjustment
         folder.mkdir(exist_ok=True)
@@ -100,7 +101,7 @@ class Match(Algorithm[MatchParameters]):
             "points": ties.n_points,
             "observations": len(ties.photo),
             "pairs": sum(pair.inliers > 0 for pair in found.pairs),
-            "doubts": list(found.doubts),
+            "doubts": doubts,
         }
         return Result(outputs={"ties": folder / TIES, "matches": folder / MATCHES}, summary=summary)
 

@@ -172,9 +172,8 @@ def _freed(
 ) -> tuple[Solution, list[Doubted]]:
     """Solution where photos that all their matches contradict went where these put them.
 
-    A receiver that is sure of a wrong place outweighs any pixel, and its photo would stay there
-    while its matches are taken for wrong ones. Such photos are let loose; where their matches
-    agree among themselves, the navigation is what is weighed down.
+    A receiver that is sure of a wrong place outweighs any pixel. Such photos are let loose; where
+    their matches agree among themselves, the navigation is what is weighed down.
     """
     loose = np.zeros(len(problem.block.photo_ids), dtype=np.bool_)
     free = first
@@ -289,10 +288,7 @@ def _kept(
 
 
 def _weigh_down(problem: Problem, state: State) -> list[Doubted]:
-    """Trust contradicted parts of single photos less, the worst of each flight first.
-
-    A wrong value bends the block, and makes other values of its neighbours look wrong too.
-    """
+    """Trust contradicted parts of photos less, the worst first: it makes others look wrong."""
     found = []
     seen = np.bincount(problem.ties.photo, minlength=len(state.origin)) > 0
     for index, flight in enumerate(problem.flights):
