@@ -139,7 +139,9 @@ def prepare(
 
 def _camera_prior(camera: Camera, views: SensorViews, calibrate: bool, moving: bool) -> CameraPrior:
     """Prior of a camera; a skew cannot be told in pictures that lie on their side."""
-    prior = camera_prior(camera, calibrate=calibrate and camera.id not in views.held, moving=moving)
+    prior = camera_prior(camera, calibrate=calibrate, moving=moving)
+    if camera.id in views.held:
+        return replace(prior, sigma=np.zeros_like(prior.sigma))
     if any(degrees % 180 for degrees in views.turned_deg):
         prior = replace(prior, sigma=np.where(np.array(CAMERA_NAMES) == "b2", 0.0, prior.sigma))
     return prior

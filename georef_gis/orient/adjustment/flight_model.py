@@ -33,19 +33,26 @@ def left_jacobian_inverse(rotvec: Array) -> Array:
 class FlightModel:
     """Prior of one flight, ready for the solver."""
 
+    information: Array
+
     def __init__(self, prior: FlightPrior, origin: Array, rotation: Array) -> None:
         """Take the navigation's poses of all photos of the block; (n, 3) m and (n, 3, 3)."""
         self.prior = prior
         self.origin, self.rotation = origin[prior.photos], rotation[prior.photos]
         n = len(prior.photos)
         self.extra = np.zeros((n, 6))
-        self._invert()
+        self.renew()
         self.free = np.diag(prior.shared_covariance) > 0
         shared = prior.shared_covariance[np.ix_(self.free, self.free)]
         self.shared_information = np.zeros((FLIGHT_UNKNOWNS, FLIGHT_UNKNOWNS))
         self.shared_information[np.ix_(self.free, self.free)] = np.linalg.inv(shared)
 
-    def _invert(self) -> None:
+    def adopt(self, known: FlightModel) -> None:
+        """Take what an earlier model of the same flight found."""
+        self.extra, self.information = known.extra, known.information
+
+    def renew(self) -> None:
+        """Make the information anew after `extra` changed."""
         n = len(self.prior.photos)
         own = np.tile(FLOOR**2, n) + self.extra.ravel()
         if self.prior.covariance is None:
@@ -77,7 +84,7 @@ class FlightModel:
         own = float(np.sum(d * self.times(d[:, :, None])[:, :, 0]))
         return 0.5 * (own + float(shared @ self.shared_information @ shared))
 
-    def derivatives(self, d: Array) -> tuple[Array, Array]:
+    def derivatives(self, d: Array, boresight: Array) -> tuple[Array, Array]:
         """Of the residual by pose steps (n, 6, 6) and, but for the sign, by shared ones (n, 6, 10).
 
         The residual moves by A step_pose - B step_shared.
@@ -88,8 +95,10 @@ class FlightModel:
         A[:, :3, :3] = np.eye(3)
         A[:, 3:, 3:] = left_jacobian_inverse(d[:, 3:])
         right = np.swapaxes(A[:, 3:, 3:], -1, -2)
+        # a boresight that has grown turns on: Exp(b + db) = Exp(J db) Exp(b)
+        grown = np.linalg.inv(left_jacobian_inverse(boresight))
         B[:, :3, 0:3] = prior.R_enu_from_body
-        B[:, 3:, 3:6] = right @ prior.R_enu_from_body
+        B[:, 3:, 3:6] = right @ prior.R_enu_from_body @ grown
         B[:, :3, 6:9] = np.eye(3)
         B[:, :3, 9] = prior.velocity_enu
         B[:, 3:, 9] = np.einsum("nij,nj->ni", right, prior.rate_enu)
@@ -124,7 +133,7 @@ class FlightModel:
         rhs_pose, rhs_shared : shapes (6 n,), (10,)
         """
         n = len(self.prior.photos)
-        A, B = self.derivatives(d)
+        A, B = self.derivatives(d, shared[3:6])
         flat = B.reshape(6 * n, FLIGHT_UNKNOWNS)
         LB = self.times(B)
         border = -np.einsum("aij,aik->ajk", A, LB).reshape(6 * n, -1)
@@ -149,23 +158,3 @@ class FlightModel:
         own = np.linalg.inv(self.own_blocks())
         off = np.einsum("aij,aj->ai", own, self.times(d[:, :, None])[:, :, 0])
         return off, np.sqrt(np.einsum("aii->ai", own))
-
-    def weigh_down(self, d: Array) -> list[tuple[int, int, float]]:
-        """Trust contradicted components of single photos less; (photo, component, sigmas) of each.
-
-        Only the worst of each component in reach of one another is taken at a time: a neighbour of
-        a wrong value looks wrong too.
-        """
-        off, sigma = self.foretold(d)
-        ratio = np.abs(off) / sigma
-        found = []
-        for c in range(6):
-            worst = float(ratio[:, c].max())
-            if worst <= DOUBTED:
-                continue
-            for i in np.flatnonzero(ratio[:, c] > max(DOUBTED, 0.5 * worst)):
-                self.extra[i, c] += float(off[i, c]) ** 2
-                found.append((int(self.prior.photos[i]), c, float(ratio[i, c])))
-        if found:
-            self._invert()
-        return found

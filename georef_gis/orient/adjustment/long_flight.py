@@ -23,7 +23,17 @@ class LongFlightModel(FlightModel):
     shorter than the memory; with slow and white errors the rest fades by a third per photo.
     """
 
-    def _invert(self) -> None:
+    order: NDArray[np.intp]
+    band: Array
+
+    def adopt(self, known: FlightModel) -> None:
+        """Take what an earlier model of the same flight found."""
+        if not isinstance(known, LongFlightModel):
+            raise ValueError("a long flight learns from a long flight")
+        self.extra, self.band, self.order = known.extra, known.band, known.order
+
+    def renew(self) -> None:
+        """Make the information anew after `extra` changed."""
         prior = self.prior
         if prior.joint is None or prior.times is None:
             raise ValueError(f"flight {prior.id}: has no joint covariance by parts")
@@ -40,7 +50,7 @@ class LongFlightModel(FlightModel):
             share = (W.T @ weight @ W).reshape(len(here), 6, len(here), 6)
             for a in range(len(here)):
                 band[first + a, : a + 1] += share[a].transpose(1, 0, 2)[a::-1]
-        self.order: NDArray[np.intp] = order
+        self.order = order
         self.band = band
 
     def times(self, x: Array) -> Array:

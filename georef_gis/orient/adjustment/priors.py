@@ -24,6 +24,8 @@ YAW_SHARES = (0.15, 0.65, 0.2)
 TAU_POSITION, TAU_ATTITUDE = 100.0, 40.0
 # m and s, one sigma where nothing is stated: antenna beside the camera, position older than photo
 SIGMA_LEVER, SIGMA_TAG_CLOCK = 0.1, 0.3
+# of a tagged position's sigma: the most that its being late makes of it
+CLOCK_SHARE = 0.4
 # s; between photos whose clocks tell nothing
 USUAL_INTERVAL = 3.0
 # s, one sigma of the shared part of the exposure times that a log's events give
@@ -46,16 +48,18 @@ def camera_prior(camera: Camera, *, calibrate: bool = True, moving: bool = True)
     Parameters
     ----------
     calibrate
-        Without, all are held.
+        Without, all are held, but for the distortion where none is stated.
     moving
         Whether velocities are known; without them a readout time means nothing.
     """
     sigma = np.zeros(11)
+    stated = any((camera.k1, camera.k2, camera.k3, camera.p1, camera.p2))
+    if calibrate or not stated:
+        # a lens of which nobody said anything is not free of distortion
+        sigma[3:8] = SIGMA_STATED if stated else SIGMA_DISTORTION
     if calibrate:
         sigma[0] = camera.sigma_f or SIGMA_FOCAL_SHARE * camera.fx
         sigma[1:3] = camera.sigma_c or SIGMA_CENTRE_SHARE * camera.width
-        stated = any((camera.k1, camera.k2, camera.k3, camera.p1, camera.p2))
-        sigma[3:8] = SIGMA_STATED if stated else SIGMA_DISTORTION
         sigma[8:10] = SIGMA_AFFINITY * camera.fx
         if moving:
             sigma[10] = max(SIGMA_READOUT_SHARE * camera.readout_s, SIGMA_READOUT * (not stated))
@@ -160,7 +164,11 @@ def tag_prior(
     tau = np.array([TAU_POSITION] * 3 + [TAU_ATTITUDE] * 3)
     origin = np.array([p.pose.origin_enu for p in photos])
     velocity = velocities_of([p.photo for p in photos], origin, times)
-    clock = mount.sigma_clock if np.any(velocity) else 0.0
+    speed_known = velocity[np.any(velocity, axis=1)]
+    # how late a tag is belongs to its error along the track, and is no more than a part of it
+    usual = float(np.median(np.linalg.norm(speed_known, axis=1))) if len(speed_known) else 0.0
+    along = CLOCK_SHARE * float(np.median(sigma[:, :2]))
+    clock = min(mount.sigma_clock, along / usual) if usual > 0.0 else 0.0
     # what is each photo's own; one whose speed is not known is off by any clock error
     own = shares[:, 2] * sigma**2
     speed = np.linalg.norm(velocity, axis=1)
@@ -237,6 +245,9 @@ def navigation_prior(
 
     shared = np.zeros((10, 10))
     shared[:9, :9] = exposures["mount_covariance"]
+    if not np.any(M[:, 3:, 3:6]):
+        # a gimbal holds the camera: the vehicle's boresight turns nothing
+        shared[3:6], shared[:, 3:6] = 0.0, 0.0
     still = np.zeros(3)
     velocity = [p.pose.velocity_enu if p.pose.velocity_enu is not None else still for p in photos]
     rate = [p.pose.rate_enu if p.pose.rate_enu is not None else still for p in photos]
