@@ -168,7 +168,7 @@ class AttitudeSection(Section):
 
     dialect: str = Field(
         default="auto",
-        description='Convention of the angles: "auto", or a name of the table in docs/dialects.md',
+        description='Convention of the angles: "auto", or a name of the table in docs/frames.md',
     )
     yaw_source: Literal["auto", "gimbal", "flight", "course"] = Field(
         default="auto", description='"auto", "gimbal", "flight" or "course" (made good)'

@@ -217,7 +217,7 @@ class Observability:
             "unknowns": [asdict(u) | {"held_by_prior": u.held} for u in self.unknowns],
             "correlation": np.round(self.correlation, 4).tolist(),
             "badly_separated": [list(pair) for pair in self.pairs],
-            "condition": self.condition,
+            "condition": self.condition if np.isfinite(self.condition) else None,
         }
 
 
