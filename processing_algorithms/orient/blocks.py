@@ -33,6 +33,7 @@ from georef_gis.orient.adjustment.build import (
 )
 from georef_gis.orient.adjustment.keep import load_ties
 from georef_gis.orient.adjustment.priors import (
+    SIGMA_EVENT_CLOCK,
     MountPrior,
     camera_prior,
     navigation_prior,
@@ -201,7 +202,10 @@ def _flights(project: Project, site: Site, views: SensorViews) -> tuple[FlightPr
         inside = [i for i in inside if kinds[i] == "navigation"]
         if len(inside) == len(joint["ids"]):
             photos = [views.photos[i] for i in inside]
-            out.append(navigation_prior("flight", photos, np.array(inside), joint))
+            clock = _sigma_clock(photos)
+            out.append(
+                navigation_prior("flight", photos, np.array(inside), joint, sigma_clock=clock)
+            )
             left -= set(inside)
     for kind in ("navigation", "tags"):
         for name in dict.fromkeys(names):
@@ -211,6 +215,19 @@ def _flights(project: Project, site: Site, views: SensorViews) -> tuple[FlightPr
                 photos = [views.photos[i] for i in mine]
                 out.append(tag_prior(label, photos, np.array(mine), known))
     return tuple(out)
+
+
+def _sigma_clock(photos: Sequence[OrientedPhoto]) -> float:
+    """One sigma, s, of the part of the exposure times that all photos of a flight share.
+
+    Times by events are a lag of the shutter apart from them; those by the camera's clock share the
+    error of its offset, which is nearly all of their sigma.
+    """
+    by_clock = [p.photo.time_sigma for p in photos if p.photo.time_source == "clock"]
+    known = [sigma for sigma in by_clock if sigma is not None]
+    if 2 * len(by_clock) <= len(photos) or not known:
+        return SIGMA_EVENT_CLOCK
+    return max(SIGMA_EVENT_CLOCK, float(np.median(known)))
 
 
 def _exposures(project: Project) -> dict[str, Any] | None:
