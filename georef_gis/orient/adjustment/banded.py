@@ -16,7 +16,7 @@ from scipy.sparse import bsr_matrix, csr_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from georef_gis.frames import Array
-from georef_gis.orient.adjustment.kernels import band_inverse
+from georef_gis.orient.adjustment.covariance_kernels import band_inverse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.orient.adjustment.banded import BandedFactor
+from georef_gis.orient.adjustment.covariance_kernels import point_covariances, point_rows
 from georef_gis.orient.adjustment.dense import DenseFactor
-from georef_gis.orient.adjustment.kernels import point_covariances, point_rows
 from georef_gis.orient.adjustment.problem import Problem, State
 
 
