@@ -13,7 +13,7 @@ sample: $(VENV)/installed
 	$(BIN)/georef run sample_project
 
 test: $(VENV)/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -55,9 +55,10 @@ def oriented(tmp_path: Path) -> Site:
 
 
 def marks_off(text: str) -> float:
-    found = re.search(r"lie off by ([\d.]+) m east, ([\d.]+) m north", text)
+    found = re.search(r"lie off by ([\d.]+) (c?m) east, ([\d.]+) (c?m) north", text)
     assert found, text
-    return math.hypot(float(found[1]), float(found[2]))
+    unit = {"m": 1.0, "cm": 0.01}
+    return math.hypot(float(found[1]) * unit[found[2]], float(found[3]) * unit[found[4]])
 
 
 # -- the sample as it is -----------------------------------------------------------------------

@@ -96,6 +96,8 @@ def copy_site(folder: Path, photos: int = 5, **settings: object) -> Site:
         shutil.copy(SAMPLE / name, folder)
     site = Site(folder)
     site.set("products", **{"gsd_m": GSD, **settings})
+    # what matching finds is not what these tests are about
+    site.set("tools", match={"max_side": 650, "observations": 150})
     site.set("ground", dem=None, height_m=314.0, height_kind="orthometric")
     return site
 
