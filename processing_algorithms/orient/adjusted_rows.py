@@ -21,6 +21,7 @@ from georef_gis.orient.adjustment.block import FLIGHT_NAMES
 from georef_gis.orient.adjustment.checks import Check, Observability, observability
 from georef_gis.orient.adjustment.keep import COVARIANCE, save_adjusted
 from georef_gis.orient.surface import SURFACE, Surface, fit_surface, save_surface
+from georef_gis.orient.surface_trust import trusted
 from georef_gis.project import Project
 from georef_gis.project.records import camera_row, pose_row
 from georef_gis.toolbox import Context
@@ -108,7 +109,7 @@ def _surface(
     dem = site.terrain if isinstance(site.terrain, DemTerrain) else None
     try:
         area = _area(prepared, stored, adjusted)
-        return fit_surface(adjusted.points, site.frame.origin, area, dem=dem)
+        return fit_surface(trusted(adjusted.points), site.frame.origin, area, dem=dem)
     except GeometryError:
         return None
 
