@@ -150,6 +150,12 @@ def _ground_of(poses: Sequence[tuple[str, Pose]], terrain: Terrain, project: Pro
     return replace(terrain, sigma=float(np.hypot(terrain.sigma, shared)))
 
 
+def _surface_file(project: Project) -> Path:
+    from georef_gis.orient.surface import SURFACE
+
+    return project.adjustment / SURFACE
+
+
 def load_ground(project: Project, frame: MapFrame, *, adjusted: bool = False) -> Terrain:
     """Ground that the orientation of the photos settled on.
 
@@ -164,6 +170,9 @@ def load_ground(project: Project, frame: MapFrame, *, adjusted: bool = False) ->
         If the photos were not oriented yet, or the adjusted ground's file cannot be read.
     """
     facts = project.database.meta("ground_adjusted") if adjusted else None
+    if facts and facts["kind"] in ("tin", "plane") and not _surface_file(project).exists():
+        # what a user cleared away is made anew by the next run; until then the direct ground does
+        facts = None
     facts = facts or project.database.meta("ground")
     if facts is None:
         raise InputError(
@@ -176,9 +185,9 @@ def load_ground(project: Project, frame: MapFrame, *, adjusted: bool = False) ->
             sigma=facts["sigma_m"],
         )
     if facts["kind"] in ("tin", "plane"):
-        from georef_gis.orient.surface import SURFACE, load_surface
+        from georef_gis.orient.surface import load_surface
 
-        return load_surface(project.folder / "adjustment" / SURFACE)
+        return load_surface(_surface_file(project))
     positions = [
         [row["x_enu"], row["y_enu"], row["z_enu"]] for row in project.database.rows("pose")
     ]

@@ -25,6 +25,8 @@ TILT_BLOCKS, FEWEST_FOR_TILT = 6, 12
 OFFSET_COUNTS, TILT_COUNTS = 2.0, 4.0
 # standard deviations beyond which a point does not count
 CUT = 5.0
+# sigmas of the block's own tilt that a DEM's must exceed
+TILT_OF_BLOCK = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,8 +80,9 @@ class DemBias:
 
 
 def estimate_bias(
-    cloud: Cloud, frame: EnuPlane, dem: DemTerrain, *, shared: float = 0.0
-) -> DemBias | None:
+    cloud: Cloud, frame: EnuPlane, dem: DemTerrain, *, shared: float = 0.0,
+    block_tilt: float = 0.0,
+) -> DemBias | None:  # fmt: skip
     """Offset and tilt of a DEM against points; None where too few lie on it.
 
     Parameters
@@ -87,6 +90,8 @@ def estimate_bias(
     shared : m
         One sigma of what points and photos share. It is no reason against moving the DEM, which
         must fit the photos; it is in the sigma of the moved DEM.
+    block_tilt : rad
+        One sigma of the tilt that all points share: a DEM is not tilted to fit a tilted block.
 
     Notes
     -----
@@ -106,6 +111,8 @@ def estimate_bias(
     xy, r = xy[keep], r[keep]
     centre = np.median(xy, axis=0)
     slope = _tilt(xy - centre, r)
+    if np.linalg.norm(slope) <= TILT_OF_BLOCK * np.tan(block_tilt):
+        slope = np.zeros(2)
     level = r - (xy - centre) @ slope
     offset, sigma_offset = _mean_over_blocks(xy, level)
     spread = _scale(level - offset)

@@ -88,7 +88,12 @@ class Surface:
 
 
 def fit_surface(
-    points: GroundPoints, origin: Origin, area_enu: Array, *, dem: DemTerrain | None = None
+    points: GroundPoints,
+    origin: Origin,
+    area_enu: Array,
+    *,
+    dem: DemTerrain | None = None,
+    block_tilt: float = 0.0,
 ) -> Surface:
     """Ground from adjusted points.
 
@@ -101,6 +106,8 @@ def fit_surface(
         Places that the ground must reach, such as the rims of the photos' footprints; may be empty.
     dem
         The user's; it is used, moved by its bias where that is significant.
+    block_tilt : rad
+        One sigma of the tilt that all points share.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def fit_surface(
         surface = _plane(few_points(cloud), None, frame, area_plane, len(points))
     else:
         surface = _best(without_blunders(cloud), frame, area_plane, len(points))
-    return surface if dem is None else _with_dem(surface, cloud, frame, dem)
+    return surface if dem is None else _with_dem(surface, cloud, frame, dem, block_tilt)
 
 
 def _on_plane(frame: EnuPlane, area_enu: Array, level: float) -> Array:
@@ -186,9 +193,13 @@ def _notes(found: Scattered) -> tuple[str, ...]:
     return (f"{found.blunders} of {total} points stand off their surroundings and are left out",)
 
 
-def _with_dem(surface: Surface, cloud: Cloud, frame: EnuPlane, dem: DemTerrain) -> Surface:
+def _with_dem(
+    surface: Surface, cloud: Cloud, frame: EnuPlane, dem: DemTerrain, block_tilt: float
+) -> Surface:
     """The user's DEM, moved onto the points; without points on it, as it is."""
-    bias = estimate_bias(cloud, frame, dem, shared=surface.report.sigma_shared)
+    bias = estimate_bias(
+        cloud, frame, dem, shared=surface.report.sigma_shared, block_tilt=block_tilt
+    )
     sigma = dem.sigma if bias is None else bias.sigma
     terrain = unbiased(dem, bias) if bias else dem
     notes = [*surface.report.notes]

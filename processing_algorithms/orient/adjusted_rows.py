@@ -51,6 +51,9 @@ def forget(project: Project) -> None:
         for row in database.rows("camera"):
             if (row["extra"] or {}).get("adjusted_of"):
                 database.delete_rows("camera", {"camera_id": row["camera_id"]})
+        for row in database.rows("flight"):
+            if (row["extra"] or {}).get("adjusted_of"):
+                database.delete_rows("flight", {"flight_id": row["flight_id"]})
         database.set_meta(ground_adjusted=None, adjustment=None)
     for name in (REPORT, SURFACE, COVARIANCE, "points.npz", "residuals.npz"):
         (project.adjustment / name).unlink(missing_ok=True)
@@ -109,9 +112,17 @@ def _surface(
     dem = site.terrain if isinstance(site.terrain, DemTerrain) else None
     try:
         area = _area(prepared, stored, adjusted)
-        return fit_surface(trusted(adjusted.points), site.frame.origin, area, dem=dem)
+        return fit_surface(
+            trusted(adjusted.points), site.frame.origin, area, dem=dem, block_tilt=_tilt(adjusted)
+        )
     except GeometryError:
         return None
+
+
+def _tilt(adjusted: Adjusted) -> float:
+    """One sigma of the tilt of the block as a whole, rad: no less than that of its best photo."""
+    covariance = np.array([pose.covariance for pose in adjusted.poses])
+    return float(np.sqrt(np.median(covariance[:, 3, 3] + covariance[:, 4, 4]) / 2.0))
 
 
 def _area(prepared: Prepared, stored: Sequence[Pose], adjusted: Adjusted) -> Array:
@@ -154,7 +165,7 @@ def _pose_row(
 
 
 def adjusted_id(camera_id: str) -> str:
-    """Id of a camera as adjusted, beside the one that it came from."""
+    """Id of a camera or flight as adjusted, beside the one that it came from."""
     return f"{camera_id} {ADJUSTED}"
 
 
@@ -184,7 +195,7 @@ def _write_rows(
             values, covariance = adjusted.flight(k)
             database.replace_rows(
                 "flight", [_flight_row(flight.id, values, covariance)],
-                where={"flight_id": flight.id},
+                where={"flight_id": adjusted_id(flight.id)},
             )  # fmt: skip
         facts = None
         if ground is not None:
@@ -210,7 +221,7 @@ def _used(prepared: Prepared) -> list[str]:
 
 def _flight_row(flight_id: str, values: Array, covariance: Array) -> dict[str, Any]:
     return {
-        "flight_id": flight_id,
+        "flight_id": adjusted_id(flight_id),
         "name": flight_id,
         "clock_offset_s": float(values[9]),
         "clock_sigma_s": float(np.sqrt(max(covariance[9, 9], 0.0))),
@@ -218,6 +229,7 @@ def _flight_row(flight_id: str, values: Array, covariance: Array) -> dict[str, A
         "bias_covariance": covariance[6:9, 6:9].tolist(),
         "boresight": values[3:6].tolist(),
         "extra": {
+            "adjusted_of": flight_id,
             "lever_arm_step_m": values[:3].tolist(),
             "names": list(FLIGHT_NAMES),
             "covariance": covariance.tolist(),

@@ -38,6 +38,7 @@ from georef_gis.orient.adjustment.priors import (
     camera_prior,
     navigation_prior,
     tag_prior,
+    times_of,
 )
 from georef_gis.project import Project
 from georef_gis.project.columns_file import read_columns
@@ -50,6 +51,8 @@ RELIEF_SHARE = 0.08
 LEAST_RELIEF = 2.0
 # m, one sigma: no photo shares less of its height with the ground than a control point's
 LEAST_LEVEL = 0.5
+# s; photos further apart are of two flights
+PAUSE = 1800.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -210,11 +213,24 @@ def _flights(project: Project, site: Site, views: SensorViews) -> tuple[FlightPr
     for kind in ("navigation", "tags"):
         for name in dict.fromkeys(names):
             mine = [i for i in sorted(left) if names[i] == name and kinds[i] == kind]
-            if mine:
-                label = name if kind == "tags" else f"{name} navigation"
-                photos = [views.photos[i] for i in mine]
-                out.append(tag_prior(label, photos, np.array(mine), known))
+            label = name if kind == "tags" else f"{name} navigation"
+            for number, part in enumerate(_flown_together(mine, views), start=1):
+                photos = [views.photos[i] for i in part]
+                title = label if number == 1 else f"{label} {number}"
+                out.append(tag_prior(title, photos, np.array(part), known))
     return tuple(out)
+
+
+def _flown_together(indices: Sequence[int], views: SensorViews) -> list[list[int]]:
+    """Photos by flight: another camera, or a long pause, has errors of its own."""
+    groups: list[list[int]] = []
+    for camera in dict.fromkeys(int(views.camera_of[i]) for i in indices):
+        mine = [i for i in indices if views.camera_of[i] == camera]
+        times = times_of([views.photos[i].photo for i in mine])
+        order = np.argsort(times, kind="stable")
+        cuts = np.flatnonzero(np.diff(times[order]) > PAUSE) + 1
+        groups += [[mine[k] for k in part] for part in np.split(order, cuts)]
+    return [sorted(group) for group in groups if group]
 
 
 def _sigma_clock(photos: Sequence[OrientedPhoto]) -> float:

@@ -12,7 +12,6 @@ import pytest
 import rasterio
 from pyproj import CRS
 
-from georef_gis.errors import InputError
 from georef_gis.geodesy import MapFrame, Origin, map_crs
 from georef_gis.model.camera import Camera
 from georef_gis.model.photo import Photo
@@ -120,12 +119,11 @@ def test_what_photos_hold_apart_is_not_counted_twice(tmp_path: Path) -> None:
     assert sigmas[1] < 0.5
 
 
-def test_a_lost_surface_is_told_with_its_cure(tmp_path: Path) -> None:
+def test_a_lost_surface_leaves_the_direct_ground(tmp_path: Path) -> None:
     project = project_at(tmp_path, adjusted=3)
     adjust(project, surface())
     (tmp_path / "adjustment" / SURFACE).unlink()
-    with pytest.raises(InputError, match=r"surface\.npz.*georef run"):
-        load_site(project)
+    assert isinstance(load_site(project).terrain, FlatTerrain)
 
 
 def test_a_plane_is_kept_as_a_plane(tmp_path: Path) -> None:

@@ -316,6 +316,7 @@ def flight_items(facts: Facts) -> list[Item]:
     rows, far, held = [], [], []
     for flight in facts.flights:
         extra = flight["extra"] or {}
+        label = extra.get("adjusted_of") or flight["flight_id"]
         c = np.array(extra.get("covariance") or (), dtype=np.float64)
         if c.shape != (10, 10) or flight["boresight"] is None:
             continue
@@ -325,14 +326,14 @@ def flight_items(facts: Facts) -> list[Item]:
             flight["clock_offset_s"],
         ]  # fmt: skip
         for name, value, sigma in zip(extra["names"], values, sd, strict=True):
-            own = prior.get(f"{flight['flight_id']} {name}")
+            own = prior.get(f"{label} {name}")
             if own is None:
                 continue
             if own["held_by_prior"]:
                 held.append(name)
             if _moved(own) > FAR:
-                far.append(f"{flight['flight_id']} {name}")
-            rows.append((f"{flight['flight_id']} {name}", *_flight_value(name, value, sigma),
+                far.append(f"{label} {name}")
+            rows.append((f"{label} {name}", *_flight_value(name, value, sigma),
                          number(_moved(own), 1),
                          "prior" if own["held_by_prior"] else "flight"))  # fmt: skip
     if not rows:

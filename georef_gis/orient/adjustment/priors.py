@@ -18,8 +18,8 @@ from georef_gis.orient.adjustment.block import LARGE, CameraPrior, FlightPrior
 # and each photo's own. A consumer receiver's error is mostly slow (2012 paper: minutes); angles of
 # an autopilot have a constant part, the mount, and crab is the same along a line.
 POSITION_SHARES = (0.3, 0.55, 0.15)
-TILT_SHARES = (0.4, 0.3, 0.3)
-YAW_SHARES = (0.15, 0.65, 0.2)
+TILT_SHARES = (0.45, 0.5, 0.05)
+YAW_SHARES = (0.2, 0.7, 0.1)
 # s, correlation times of the slow parts
 TAU_POSITION, TAU_ATTITUDE = 100.0, 40.0
 # m and s, one sigma where nothing is stated: antenna beside the camera, position older than photo

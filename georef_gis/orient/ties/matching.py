@@ -38,7 +38,7 @@ LEAST_ALIKE = 0.72
 COARSE_TOLERANCE = 0.04
 LEAST_COARSE = 8
 # the scale of two photos may differ from the prediction by this factor
-SCALE_RANGE = 2.0
+SCALE_RANGE = 5.0
 # rad, and factor, by which a feature's direction and size may differ from those predicted
 ANGLE_TOLERANCE = np.radians(35.0)
 SIZE_TOLERANCE = 1.7
