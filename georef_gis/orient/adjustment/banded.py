@@ -60,10 +60,8 @@ class BandedFactor:
             If the matrix is not positive definite.
         """
         self.order = order
-        if not (np.all(poses.diagonal() > 0) and np.all(np.diag(corner) > 0)):
-            raise np.linalg.LinAlgError("an unknown is not held by anything")
-        self.scale = 1.0 / np.sqrt(poses.diagonal())
-        self.scale_shared = 1.0 / np.sqrt(np.diag(corner))
+        self.scale = 1.0 / np.sqrt(np.maximum(poses.diagonal(), 1e-300))
+        self.scale_shared = 1.0 / np.sqrt(np.maximum(np.diag(corner), 1e-300))
         coo = poses.tocoo()
         row, column = order.position[coo.row], order.position[coo.col]
         lower = row >= column

@@ -20,10 +20,7 @@ class DenseFactor:
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        diagonal = np.diag(H)
-        if not np.all(diagonal > 0):
-            raise np.linalg.LinAlgError("an unknown is not held by anything")
-        self.scale = 1.0 / np.sqrt(diagonal)
+        self.scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         H *= self.scale[:, None]
         H *= self.scale
         H[np.diag_indices_from(H)] = 1.0 + damping
