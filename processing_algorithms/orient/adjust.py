@@ -140,13 +140,11 @@ def _adjusted(
             break
         failed = next(check for check in checks if not check.passed)
         if failed.name.startswith("focal length"):
-            # a focal length that the photos refute is not held either
             notes.append(
                 f"project.toml, [camera] focal_px: {failed.expected:.0f} px is what was stated or "
                 f"tagged, the photos say about {failed.value:.0f} px; set it, or widen "
                 "sigma_focal_percent"
             )
-            break
         notes.append(f"with a free camera {failed.told()}: adjusted again with the camera held")
     return prepared, adjusted, checks, notes
 
