@@ -14,9 +14,7 @@ system seconds with kernels compiled before. Ceres needs pycolmap and pyceres.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -25,18 +23,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from adjustment_large import sizes
+from adjustment_ratios import Array, point_ratios, pose_ratios, run, shared_ratios, slashed
 
 # the flights are those of the tests
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "orient"))
 
 import adjustment_flights as sim
-from adjustment_blocks import block_of, control_input, first_points, rms, true_shared
-from numpy.typing import NDArray
+from adjustment_blocks import block_of, control_input, rms
 
-from georef_gis.orient.adjustment.adjust import Adjusted, adjust
-from georef_gis.orient.adjustment.block import CAMERA_NAMES, Block, FlightPrior
+from georef_gis.orient.adjustment.adjust import Adjusted
+from georef_gis.orient.adjustment.block import CAMERA_NAMES, Block
 
-Array = NDArray[np.float64]
 Make = Callable[[int], sim.SimFlight]
 
 FIRST_SEED = 1000
@@ -60,45 +58,6 @@ REFERENCE = {
     "lever y, m": 0.01,
     "lever z, m": 0.08,
 }
-
-
-def run(flight: sim.SimFlight, block: Block | None = None) -> tuple[Adjusted, float]:
-    """A flight adjusted as the tool does it, and the CPU seconds that took."""
-    block = block or block_of(flight)
-    first = first_points(flight, block)
-    start = time.process_time()
-    adjusted = adjust(block, first)
-    adjusted.covariances.shared()
-    return adjusted, time.process_time() - start
-
-
-def pose_ratios(flight: sim.SimFlight, adjusted: Adjusted) -> tuple[Array, Array]:
-    """Errors of the poses, (n, 6) m and rad, and those over sigma."""
-    origin = np.array([p.origin_enu for p in adjusted.poses])
-    R = np.array([p.R_enu_from_cam for p in adjusted.poses])
-    turned = flight.truth.R_enu_from_cam @ np.swapaxes(R, 1, 2)
-    errors = np.hstack([flight.truth.p_cam - origin, sim.rotvec(turned)])
-    sigma = np.sqrt([np.diag(p.covariance) for p in adjusted.poses])
-    return errors, errors / sigma
-
-
-def shared_ratios(flight: sim.SimFlight, adjusted: Adjusted) -> Array:
-    """Errors over sigma of camera, mount, bias and clock; NaN where one is held."""
-    spread = np.sqrt(np.maximum(np.diag(adjusted.covariances.shared()), 0.0))
-    off = true_shared(flight) - adjusted.shared
-    return np.divide(off, spread, out=np.full_like(off, np.nan), where=spread > 0)
-
-
-def point_ratios(flight: sim.SimFlight, adjusted: Adjusted) -> Array:
-    """Errors over sigma of the tie points that were kept, (k, 3)."""
-    name = {(int(i), *map(float, uv)): int(j)
-            for i, uv, j in zip(flight.photo, flight.uv, flight.point, strict=True)}  # fmt: skip
-    ties = adjusted.block.ties
-    true = np.full((ties.n_points, 3), np.nan)
-    for i, uv, j in zip(ties.photo, ties.uv, ties.point, strict=True):
-        true[j] = flight.points[name[int(i), float(uv[0]), float(uv[1])]]
-    sigma = np.sqrt(np.einsum("kii->ki", adjusted.points.covariance))
-    return np.asarray((true - adjusted.points.p_enu) / sigma)
 
 
 # -- a -----------------------------------------------------------------------------------------
@@ -142,11 +101,6 @@ def consistency(flights: int) -> None:
         if off:
             print(f"|   shared beyond 0.7-1.4: {off} |")
         sys.stdout.flush()
-
-
-def slashed(values: Array, digits: int = 2) -> str:
-    """Numbers with slashes between."""
-    return "/".join(f"{v:.{digits}f}" for v in values)
 
 
 # -- b -----------------------------------------------------------------------------------------
@@ -264,105 +218,6 @@ def checked(flight: sim.SimFlight) -> tuple[Array, Array]:
     return error, error / sigma
 
 
-# -- d -----------------------------------------------------------------------------------------
-
-
-def by_parts(flight: sim.SimFlight) -> FlightPrior:
-    """The joint prior of a long flight, asked for by parts as the tool does."""
-    photos = sim.oriented_photos(flight)
-    n, model, times = len(photos), flight.navigation, flight.truth.times
-    L = np.stack([sim.pose_jacobian(flight, i)[:, :6] for i in range(n)])
-
-    def joint(indices: NDArray[np.int64]) -> Array:
-        k = len(indices)
-        out = np.zeros((k, 6, k, 6))
-        for c, block in enumerate(model.covariance(times[indices])):
-            out[:, c, :, c] = block
-        out = np.einsum("aij,ajbk,blk->aibl", L[indices], out, L[indices])
-        return np.asarray(out.reshape(6 * k, 6 * k))
-
-    s = flight.sigmas
-    shared = np.concatenate([s.lever, s.boresight, s.bias, [s.clock]])
-    return FlightPrior(
-        id="flight",
-        photos=np.arange(n),
-        covariance=None,
-        white=np.einsum("aij,j,akj->aik", L, model.white**2, L),
-        R_enu_from_body=flight.R_nav,
-        velocity_enu=np.array([p.pose.velocity_enu for p in photos]),
-        rate_enu=np.array([p.pose.rate_enu for p in photos]),
-        shared_covariance=np.diag(shared**2),
-        times=times,
-        joint=joint,
-    )
-
-
-def large_block(flight: sim.SimFlight) -> Block:
-    """Block of a flight of more photos than are kept whole."""
-    from adjustment_blocks import camera_sigma
-
-    from georef_gis.orient.adjustment.block import CameraPrior
-
-    photos = sim.oriented_photos(flight)
-    return Block(
-        photo_ids=sim.photo_ids(flight),
-        poses=tuple(p.pose for p in photos),
-        camera_of=np.zeros(len(photos), dtype=np.int64),
-        cameras=(CameraPrior(camera=photos[0].camera, sigma=camera_sigma(flight)),),
-        flights=(by_parts(flight),),
-        ties=sim.ties(flight),
-    )
-
-
-def peak_mb() -> float:
-    """Peak of this process so far; what getrusage says holds that of the parent too."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) / 1024
-    raise SystemExit("/proc/self/status has no VmHWM: the memory is read on Linux only")
-
-
-def one_size(photos: int, observations: float) -> None:
-    """Adjust one large flight and say what it took, as JSON; for a process of its own."""
-    run(sim.strip(1, 3))
-    if photos > 300:
-        # the band has kernels of its own
-        small = sim.many(1, 310, 60.0)
-        run(small, large_block(small))
-    flight = sim.many(5, photos, observations)
-    block = large_block(flight) if photos > 300 else block_of(flight)
-    before = peak_mb()
-    adjusted, cpu = run(flight, block)
-    errors, ratio = pose_ratios(flight, adjusted)
-    print(json.dumps({
-        "photos": photos, "observations": len(flight.uv), "points": len(flight.points),
-        "cpu_s": round(cpu, 1), "before_mb": round(before),
-        "peak_mb": round(peak_mb()), "converged": adjusted.solution.converged,
-        "sigma0": round(adjusted.sigma0, 3),
-        "error_over_sigma": [round(float(v), 2) for v in rms([ratio])],
-        "rms_m": [round(float(v), 3) for v in rms([errors])[:3]],
-    }))  # fmt: skip
-
-
-def sizes() -> None:
-    """Large blocks, each in a process of its own."""
-    print("\n### (d) large blocks, navigation by tags\n")
-    print("| photos | observations | points | CPU s | peak MB (flight and interpreter before) | "
-          "converged | sigma0 | error/sigma of poses (one flight) |")  # fmt: skip
-    print("|---|---|---|---|---|---|---|---|")
-    for photos, observations in ((167, 3000), (1000, 200)):
-        command = [sys.executable, __file__, "--size", str(photos), str(observations)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            print(f"| {photos} | failed: {done.stderr.strip().splitlines()[-1]} |")
-            continue
-        f = json.loads(done.stdout)
-        print(f"| {f['photos']} | {f['observations']} | {f['points']} | {f['cpu_s']} | "
-              f"{f['peak_mb']} ({f['before_mb']}) | {f['converged']} | "
-              f"{f['sigma0']} | {slashed(np.array(f['error_over_sigma']))} |")  # fmt: skip
-        sys.stdout.flush()
-
-
 # -- e -----------------------------------------------------------------------------------------
 
 
@@ -422,11 +277,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=40)
     parser.add_argument("--check-flights", type=int, default=10)
     parser.add_argument("--only", default="a,b,c,d,e", help="parts, as a,b")
-    parser.add_argument("--size", nargs=2, metavar=("PHOTOS", "OBSERVATIONS"))
     args = parser.parse_args()
-    if args.size:
-        one_size(int(args.size[0]), float(args.size[1]))
-        return
     parts = args.only.split(",")
     print(
         f"load {os.getloadavg()[0]:.1f}, OMP_NUM_THREADS {os.environ.get('OMP_NUM_THREADS', '-')}"

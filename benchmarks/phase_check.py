@@ -260,6 +260,91 @@ def nodes(a: Ortho, b: Ortho, step: float) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x in xs for y in ys]
 
 
+@dataclass(slots=True)
+class OwnNoise:
+    """What the measure says where the answer is known: other ground, and a known shift."""
+
+    wrong_tried: int = 0
+    wrong: int = 0
+    again: list[float] = field(default_factory=list)
+
+    def report(self) -> dict[str, Any]:
+        """Share of squares of other ground that pass, and the error of the known shifts, px."""
+        return {
+            "wrong_accepted": round(self.wrong / max(self.wrong_tried, 1), 5),
+            "wrong_tried": self.wrong_tried,
+            "known_shift_error_px": round(float(np.median(self.again)), 3) if self.again else None,
+        }
+
+
+class Survey:
+    """Squares of pairs of orthos, correlated and counted by how far tie points are."""
+
+    def __init__(self, correlator: Correlator, ties: TieTable, gsd: float) -> None:
+        self.correlator, self.ties, self.gsd = correlator, ties, gsd
+        self.near, self.clear, self.inside, self.noise = Tally(), Tally(), Tally(), OwnNoise()
+        self._rng = np.random.default_rng(0)
+
+    def pair(self, a: Ortho, b: Ortho, step: float) -> list[float]:
+        """Count the nodes of a pair; the accepted shifts, native px, away from tie points."""
+        own: list[float] = []
+        previous: Square | None = None
+        for x, y in nodes(a, b, step):
+            one, two = self._square(a, x, y), self._square(b, x, y)
+            if one is None or two is None:
+                continue
+            kinds = self._kinds(x, y)
+            shift = self._count(a, b, one, two, kinds)
+            if shift is not None and kinds[0] is self.near:
+                own.append(shift)
+            if previous is not None:
+                self._other_ground(previous, two)
+            previous = one
+            if self._rng.random() < 0.02 and has_texture(one, one):
+                self._known_shift(a, one, x, y)
+        return own
+
+    def _square(self, ortho: Ortho, x: float, y: float) -> Square | None:
+        return ortho.square(x, y, self.correlator.side, self.gsd)
+
+    def _kinds(self, x: float, y: float) -> list[Tally]:
+        """Where a node counts."""
+        if self.ties.nearest(x, y) <= CLEAR:
+            return [self.inside]
+        if self.ties.within_square(x, y, 0.5 * self.correlator.side * self.gsd):
+            return [self.near]
+        return [self.near, self.clear]
+
+    def _count(
+        self, a: Ortho, b: Ortho, one: Square, two: Square, kinds: list[Tally]
+    ) -> float | None:
+        """Length of an accepted shift, native px; None where it is not to be believed."""
+        found = self.correlator.shift(one, two)
+        good = accepted(one, two, found, self.correlator.side)
+        shift = float(np.hypot(*found[0]))
+        for tally in kinds:
+            tally.tried += 1
+            tally.textured += has_texture(one, two)
+            if good:
+                tally.shifts.append(shift)
+                parts = self.ties.parts(a, b, found[0])
+                tally.parts += [parts] if parts else []
+        return shift if good else None
+
+    def _other_ground(self, one: Square, two: Square) -> None:
+        if has_texture(one, two):
+            found = self.correlator.shift(one, two)
+            self.noise.wrong_tried += 1
+            self.noise.wrong += accepted(one, two, found, self.correlator.side)
+
+    def _known_shift(self, ortho: Ortho, square: Square, x: float, y: float) -> None:
+        known = self._rng.uniform(-8.0, 8.0, 2)
+        moved = self._square(ortho, x + known[0] * self.gsd, y - known[1] * self.gsd)
+        if moved is not None:
+            off = self.correlator.shift(square, moved)[0] + known
+            self.noise.again.append(float(np.hypot(*off)))
+
+
 def measure(folder: Path, project: Path | None, step: float, side: int) -> dict[str, Any]:
     """All pairs of orthos of a folder."""
     orthos = [read_ortho(path) for path in sorted(folder.glob("*.tif"))]
@@ -267,44 +352,10 @@ def measure(folder: Path, project: Path | None, step: float, side: int) -> dict[
         raise SystemExit(f"{folder}: holds {len(orthos)} orthos, two at least are needed")
     gsd = float(np.median([o.pixel for o in orthos]))
     ties = TieTable.of_project(project) if project else TieTable(np.zeros((0, 2)), {})
-    correlator = Correlator(side)
-    near, clear, inside = Tally(), Tally(), Tally()
-    wrong_tried, wrong, again = 0, 0, []
-    rng = np.random.default_rng(0)
+    survey = Survey(Correlator(side), ties, gsd)
     pairs, by_pair = 0, []
     for a, b in combinations(orthos, 2):
-        own: list[float] = []
-        previous: Square | None = None
-        for x, y in nodes(a, b, step):
-            one, two = a.square(x, y, side, gsd), b.square(x, y, side, gsd)
-            if one is None or two is None:
-                continue
-            found = correlator.shift(one, two)
-            good = accepted(one, two, found, side)
-            if ties.nearest(x, y) <= CLEAR:
-                kinds = [inside]
-            elif ties.within_square(x, y, 0.5 * side * gsd):
-                kinds = [near]
-            else:
-                kinds = [near, clear]
-            for tally in kinds:
-                tally.tried += 1
-                tally.textured += has_texture(one, two)
-                if good:
-                    tally.shifts.append(float(np.hypot(*found[0])))
-                    parts = ties.parts(a, b, found[0])
-                    tally.parts += [parts] if parts else []
-            if good and kinds[0] is near:
-                own.append(float(np.hypot(*found[0])))
-            if previous is not None and has_texture(previous, two):
-                wrong_tried += 1
-                wrong += accepted(previous, two, correlator.shift(previous, two), side)
-            previous = one
-            if rng.random() < 0.02 and has_texture(one, one):
-                known = rng.uniform(-8.0, 8.0, 2)
-                moved = a.square(x + known[0] * gsd, y - known[1] * gsd, side, gsd)
-                if moved is not None:
-                    again.append(float(np.hypot(*(correlator.shift(one, moved)[0] + known))))
+        own = survey.pair(a, b, step)
         pairs += bool(own)
         if len(own) >= 5:
             by_pair.append((float(np.median(own)), a.name, b.name, len(own)))
@@ -315,12 +366,10 @@ def measure(folder: Path, project: Path | None, step: float, side: int) -> dict[
         "gsd_m": round(gsd, 4),
         "square_m": round(side * gsd, 2),
         "pairs": pairs,
-        "away_from_ties": near.report(gsd),
-        "square_without_ties": clear.report(gsd),
-        "at_ties": inside.report(gsd),
-        "wrong_accepted": round(wrong / max(wrong_tried, 1), 5),
-        "wrong_tried": wrong_tried,
-        "known_shift_error_px": round(float(np.median(again)), 3) if again else None,
+        "away_from_ties": survey.near.report(gsd),
+        "square_without_ties": survey.clear.report(gsd),
+        "at_ties": survey.inside.report(gsd),
+        **survey.noise.report(),
         "pair_medians_gsd": {
             "median": round(float(np.median([p[0] for p in by_pair])), 2) if by_pair else None,
             "worst": [[round(p[0], 2), *p[1:]] for p in by_pair[:5]],

@@ -11,15 +11,13 @@ from georef_gis.errors import ExportError, InputError
 from georef_gis.frames import Array
 from georef_gis.model.camera import Camera
 from georef_gis.model.tie_points import GroundPoints, TiePoints
+from georef_gis.model.virtual_pinhole import virtual_rays
 from georef_gis.project.columns_file import read_columns
 
 if TYPE_CHECKING:
     from exports.site_values import SiteValues
 
 POINTS, RESIDUALS = "points.npz", "residuals.npz"
-# px; photos of a lens model that the adjustment has not are adjusted in a pinhole of this focal
-# length, whose principal point is (0, 0)
-PINHOLE = 1000.0
 
 
 def read_points(folder: Path) -> GroundPoints:
@@ -87,8 +85,7 @@ def _stored(site: SiteValues, ids: Array, photo: Array, uv: Array) -> Array:
             continue
         mine = photo == i
         if camera.model != "brown":
-            rays = np.column_stack([out[mine] / PINHOLE, np.ones(np.count_nonzero(mine))])
-            out[mine] = camera.project(rays)
+            out[mine] = camera.project(virtual_rays(out[mine]))
         out[mine] = turned_uv(out[mine], camera, one.turned_deg)
     return out
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exports.opensfm import CRS_OF_FRAME
+from exports.block_export import block_report, export_block
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
 from georef_gis.toolbox import parameters as p
@@ -45,14 +45,7 @@ class Colmap(Exporter[ColmapOptions]):
         self, source: LayerSource, target: Path, options: ColmapOptions, feedback: Feedback
     ) -> ExportReport:
         """Write the model to the folder `target`."""
-        from exports.poses import site_with_poses
-
-        site = site_with_poses(source)
-        ties, points = site.tracks()
-        report = write_colmap(site, target, ties=ties, points=points)
-        for warning in report.warnings:
-            feedback.warn(warning)
-        return report
+        return export_block(source, target, feedback, write_colmap)
 
 
 def write_colmap(
@@ -91,10 +84,7 @@ def write_colmap(
     except InputError as error:
         raise ExportError(str(error)) from error
     (target / FRAME_FILE).write_text(text + "\n", encoding="utf-8")
-    return ExportReport(
-        crs=CRS_OF_FRAME, height_kind="ellipsoidal", features=len(block.shots),
-        warnings=(*site.warnings, *found.warnings),
-    )  # fmt: skip
+    return block_report(site, found)
 
 
 def _write(path: Path, lines: Iterable[str]) -> None:

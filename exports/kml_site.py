@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from exports import kml_elements as k
-from exports.schemas import Feature, Layer
+from exports.schemas import Feature, Layer, Value
 from exports.site import SiteLayers
 
 ICON = "files/camera.png"
@@ -68,15 +68,18 @@ def write_document(
 
 
 def _placemarks(layer: Layer, thumbnails: Mapping[str, str]) -> Iterator[k.Element]:
-    for i, feature in enumerate(layer.features):
+    for number, feature in enumerate(layer.features, start=1):
         if layer.name == "footprints":
-            yield _footprint(layer, i, feature)
+            kind, placemark = "footprint", _footprint(layer, feature)
         elif layer.name == "track":
-            yield _track(layer, i, feature)
+            kind, placemark = "track", _track(layer, feature)
         elif layer.name == "control":
-            yield _control(layer, i, feature)
+            kind, placemark = "control", _control(layer, feature)
         else:
-            yield _photo(layer, i, feature, thumbnails.get(str(feature.values["photo"]), ""))
+            image = thumbnails.get(str(feature.values["photo"]), "")
+            kind, placemark = "photo", _photo(layer, feature, image)
+        placemark.set("id", f"{kind}-{number}")
+        yield placemark
 
 
 def _statement(site: SiteLayers) -> str:
@@ -91,72 +94,66 @@ def _statement(site: SiteLayers) -> str:
     )
 
 
-def _photo(layer: Layer, index: int, feature: Feature, image: str) -> k.Element:
+def _photo(layer: Layer, feature: Feature, image: str) -> k.Element:
     style = "photo-doubtful" if feature.values["doubts"] else "photo"
+    balloon = k.balloon(layer, feature, PHOTO_TABLE, image)
+    name = feature.values["photo"]
+    return _placemark(layer, feature, _point(feature), name=name, style=style, balloon=balloon)
+
+
+def _control(layer: Layer, feature: Feature) -> k.Element:
+    return _placemark(layer, feature, _point(feature), name=feature.values["name"], style="control")
+
+
+def _footprint(layer: Layer, feature: Feature) -> k.Element:
+    ring = k.element("LinearRing", k.coordinates(feature.geo))
+    polygon = k.element(
+        "Polygon",
+        k.element("tessellate", text="1"),
+        k.element("altitudeMode", text="clampToGround"),
+        k.element("outerBoundaryIs", ring),
+    )
+    return _placemark(layer, feature, polygon, name=feature.values["photo"], style="footprint")
+
+
+def _track(layer: Layer, feature: Feature) -> k.Element:
+    line = k.element(
+        "LineString",
+        k.element("altitudeMode", text="absolute"),
+        k.coordinates(feature.geo, feature.height_orthometric),
+    )
+    name = f"{feature.values['flight']} {feature.values['part']}"
+    return _placemark(layer, feature, line, name=name, style="track")
+
+
+def _point(feature: Feature) -> k.Element:
+    """Point at its height, on the ground where that is not known."""
     height = feature.height_orthometric
     known = bool(np.all(np.isfinite(height)))
     return k.element(
+        "Point",
+        k.element("altitudeMode", text="absolute" if known else "clampToGround"),
+        k.coordinates(feature.geo, height if known else None),
+    )
+
+
+def _placemark(
+    layer: Layer,
+    feature: Feature,
+    shape: k.Element,
+    *,
+    name: Value,
+    style: str,
+    balloon: k.Element | None = None,
+) -> k.Element:
+    """Placemark of a feature; its balloon shows all fields unless another is given."""
+    if balloon is None:
+        balloon = k.balloon(layer, feature, [f.name for f in layer.fields])
+    return k.element(
         "Placemark",
-        k.element("name", text=str(feature.values["photo"])),
-        k.balloon(layer, feature, PHOTO_TABLE, image),
+        k.element("name", text=str(name)),
+        balloon,
         k.element("styleUrl", text=f"#{style}"),
         k.extended_data(layer, feature),
-        k.element(
-            "Point",
-            k.element("altitudeMode", text="absolute" if known else "clampToGround"),
-            k.coordinates(feature.geo, height if known else None),
-        ),
-        id=f"photo-{index + 1}",
-    )
-
-
-def _control(layer: Layer, index: int, feature: Feature) -> k.Element:
-    height = feature.height_orthometric
-    known = bool(np.all(np.isfinite(height)))
-    return k.element(
-        "Placemark",
-        k.element("name", text=str(feature.values["name"])),
-        k.balloon(layer, feature, [f.name for f in layer.fields]),
-        k.element("styleUrl", text="#control"),
-        k.extended_data(layer, feature),
-        k.element(
-            "Point",
-            k.element("altitudeMode", text="absolute" if known else "clampToGround"),
-            k.coordinates(feature.geo, height if known else None),
-        ),
-        id=f"control-{index + 1}",
-    )
-
-
-def _footprint(layer: Layer, index: int, feature: Feature) -> k.Element:
-    ring = k.element("LinearRing", k.coordinates(feature.geo))
-    return k.element(
-        "Placemark",
-        k.element("name", text=str(feature.values["photo"])),
-        k.balloon(layer, feature, [f.name for f in layer.fields]),
-        k.element("styleUrl", text="#footprint"),
-        k.extended_data(layer, feature),
-        k.element(
-            "Polygon",
-            k.element("tessellate", text="1"),
-            k.element("altitudeMode", text="clampToGround"),
-            k.element("outerBoundaryIs", ring),
-        ),
-        id=f"footprint-{index + 1}",
-    )
-
-
-def _track(layer: Layer, index: int, feature: Feature) -> k.Element:
-    return k.element(
-        "Placemark",
-        k.element("name", text=f"{feature.values['flight']} {feature.values['part']}"),
-        k.balloon(layer, feature, [f.name for f in layer.fields]),
-        k.element("styleUrl", text="#track"),
-        k.extended_data(layer, feature),
-        k.element(
-            "LineString",
-            k.element("altitudeMode", text="absolute"),
-            k.coordinates(feature.geo, feature.height_orthometric),
-        ),
-        id=f"track-{index + 1}",
+        shape,
     )

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from exports.block_export import block_report, export_block
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
 from georef_gis.toolbox import parameters as p
@@ -13,8 +14,6 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     from exports.site import SiteLayers
     from georef_gis.model.tie_points import GroundPoints, TiePoints
-
-CRS_OF_FRAME = "topocentric (east, north, up) at an origin in EPSG:4979"
 
 
 class OpenSfmOptions(p.Parameters):
@@ -40,14 +39,7 @@ class OpenSfm(Exporter[OpenSfmOptions]):
         self, source: LayerSource, target: Path, options: OpenSfmOptions, feedback: Feedback
     ) -> ExportReport:
         """Write the block to `target`."""
-        from exports.poses import site_with_poses
-
-        site = site_with_poses(source)
-        ties, points = site.tracks()
-        report = write_opensfm(site, target, ties=ties, points=points)
-        for warning in report.warnings:
-            feedback.warn(warning)
-        return report
+        return export_block(source, target, feedback, write_opensfm)
 
 
 def write_opensfm(
@@ -81,7 +73,4 @@ def write_opensfm(
     data[0][OWN_KEY] = found.facts
     with target.open("w", encoding="utf-8") as stream:
         json.dump(data, stream, ensure_ascii=False, allow_nan=False, indent=1)
-    return ExportReport(
-        crs=CRS_OF_FRAME, height_kind="ellipsoidal", features=len(found.block.shots),
-        warnings=(*site.warnings, *found.warnings),
-    )  # fmt: skip
+    return block_report(site, found)

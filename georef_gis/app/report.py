@@ -41,6 +41,7 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
             f"trust  a photo's place to {length_text(merged['sigma_horizontal_m'])} "
             "(one sigma east and north, median); neighbours err alike"
         )
+    lines += [line for report in reports for line in _distance_lines(report.result.summary)]
     lines += [line for report in reports for line in _control_lines(report.result.summary)]
     doubts = [doubt for report in reports for doubt in report.result.summary.get("doubts", ())]
     return lines + _doubt_lines(list(dict.fromkeys(doubts)))
@@ -85,14 +86,22 @@ def area_text(area_m2: float) -> str:
     return f"{area_m2 / HECTARE:.2f} ha" if area_m2 >= HECTARE else f"{area_m2:.0f} m2"
 
 
+def _distance_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How well distances within the site are known, if an adjustment tells."""
+    told = [f"{length_text(v)} at {k}" for k, v in summary.get("sigma_of_distances_m", {}).items()]
+    return [f"trust  distances within the site to {', '.join(told)} (one sigma)"] if told else []
+
+
 def _control_lines(summary: Mapping[str, Any]) -> list[str]:
     """How the poses agree with surveyed points, if there are any."""
     if "compared" not in summary:
         return []
     east, north = length_text(summary["rms_east_m"]), length_text(summary["rms_north_m"])
+    wrong = summary.get("wrong_marks")
+    left_out = f"; {wrong} more are called wrong and do not count" if wrong else ""
     return [
         f"points {summary['compared']} marks lie off by {east} east, {north} north (rms); "
-        f"{length_text(summary['expected_sigma_m'])} was to be expected"
+        f"{length_text(summary['expected_sigma_m'])} was to be expected{left_out}"
     ]
 
 

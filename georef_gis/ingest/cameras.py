@@ -63,6 +63,7 @@ class CameraOverride:
     cropped_from: tuple[int, int, int, int] | None = None
     readout_s: float | None = None
     sigma_focal_percent: float | None = None
+    sigma_principal_point_px: float | None = None
 
 
 def camera_id_of(tags: Reading, width: int, height: int) -> str:
@@ -201,6 +202,8 @@ def _with_override(camera: Camera, own: CameraOverride) -> Camera:
             changes[name] = value
     if own.sigma_focal_percent is not None:
         changes["sigma_f"] = (focal or camera.fx) * own.sigma_focal_percent / 100.0
+    if own.sigma_principal_point_px is not None:
+        changes["sigma_c"] = own.sigma_principal_point_px
     if not changes:
         return camera
     origin = camera.source if camera.source == "project.toml" else f"project.toml, {camera.source}"

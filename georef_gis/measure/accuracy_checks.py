@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,119 +122,103 @@ def flags_of(assessment: Assessment) -> list[Flag]:
     for component in assessment.components:
         if component.name != "3D" and not component.vegetated:
             out += _component_flags(component)
-    return out + _reading_flags(assessment)
+    return [*out, *_reading_flags(assessment)]
 
 
-def _axis_flags(axis: AxisStatistics) -> list[Flag]:
+def _axis_flags(axis: AxisStatistics) -> Iterator[Flag]:
     letter, word = _AXIS[axis.axis]
-    reference = "RMSE found" if axis.target is None else "target RMSE"
-    told = f"mean error in {letter} ({word}) {axis.mean:+.3f} m is {axis.mean_share:.0%} of the "
-    tested = f"t = {axis.t:.2f}, p = {axis.p:.2g}, n = {axis.n}" if axis.n > 1 else "n = 1"
-    out = []
-    if axis.is_biased:
-        kind = "a systematic error" if axis.is_significant else "chance alone may give it"
-        out.append(
-            Flag(
-                code=f"bias_{axis.axis}",
-                text=f"{told}{reference}, more than {MEAN_SHARE:.0%} ({tested}, {kind}); "
-                "investigate the cause and report it (7.2)",
-            )
-        )
-    elif axis.is_significant:
-        out.append(
-            Flag(code=f"mean_{axis.axis}", text=f"{told}{reference} but not by chance ({tested})")
-        )
+    yield from _mean_flags(axis, letter, word)
     if axis.blunders:
         names = ", ".join(axis.blunders)
-        out.append(
-            Flag(
-                code=f"blunder_{axis.axis}",
-                text=f"error in {letter} above 3 x target RMSE at {names}; investigate, do not "
-                "just leave out (7.2)",
-            )
+        yield Flag(
+            code=f"blunder_{axis.axis}",
+            text=f"error in {letter} above 3 x target RMSE at {names}; investigate, do not "
+            "just leave out (7.2)",
         )
     if axis.outliers:
         names = ", ".join(axis.outliers)
-        out.append(
-            Flag(code=f"outlier_{axis.axis}", text=f"outlier in {letter} (robust z) at {names}")
-        )
+        yield Flag(code=f"outlier_{axis.axis}", text=f"outlier in {letter} (robust z) at {names}")
     if axis.normality_p < LEVEL:
-        out.append(
-            Flag(
-                code=f"not_normal_{axis.axis}",
-                text=f"errors in {letter} do not look normally distributed (Shapiro-Wilk p = "
-                f"{axis.normality_p:.2g}, skewness {axis.skewness:+.2f}); the standard assumes it",
-            )
+        yield Flag(
+            code=f"not_normal_{axis.axis}",
+            text=f"errors in {letter} do not look normally distributed (Shapiro-Wilk p = "
+            f"{axis.normality_p:.2g}, skewness {axis.skewness:+.2f}); the standard assumes it",
         )
-    return out
 
 
-def _component_flags(c: Component) -> list[Flag]:
+def _mean_flags(axis: AxisStatistics, letter: str, word: str) -> Iterator[Flag]:
+    reference = "RMSE found" if axis.target is None else "target RMSE"
+    told = f"mean error in {letter} ({word}) {axis.mean:+.3f} m is {axis.mean_share:.0%} of the "
+    tested = f"t = {axis.t:.2f}, p = {axis.p:.2g}, n = {axis.n}" if axis.n > 1 else "n = 1"
+    if axis.is_biased:
+        kind = "a systematic error" if axis.is_significant else "chance alone may give it"
+        yield Flag(
+            code=f"bias_{axis.axis}",
+            text=f"{told}{reference}, more than {MEAN_SHARE:.0%} ({tested}, {kind}); "
+            "investigate the cause and report it (7.2)",
+        )
+    elif axis.is_significant:
+        yield Flag(code=f"mean_{axis.axis}", text=f"{told}{reference} but not by chance ({tested})")
+
+
+def _component_flags(c: Component) -> Iterator[Flag]:
     word = "horizontal" if c.name == "H" else "vertical"
     if c.n == 0:
-        return [Flag(code=f"no_checks_{c.name}", text=f"no check point tests the {word} accuracy")]
-    out = []
+        yield Flag(code=f"no_checks_{c.name}", text=f"no check point tests the {word} accuracy")
+        return
     if c.n < MINIMUM:
-        out.append(
-            Flag(code=f"few_{c.name}", text=f"{c.n} {word} check points, fewer than {MINIMUM}")
-        )
+        yield Flag(code=f"few_{c.name}", text=f"{c.n} {word} check points, fewer than {MINIMUM}")
     if c.n > CAP:
-        out.append(
-            Flag(
-                code=f"many_{c.name}",
-                text=f"{c.n} check points, while the standard asks for {CAP} at most",
-            )
+        yield Flag(
+            code=f"many_{c.name}",
+            text=f"{c.n} check points, while the standard asks for {CAP} at most",
         )
+    yield from _class_flags(c, word)
+    yield from _survey_flags(c, word)
+
+
+def _class_flags(c: Component, word: str) -> Iterator[Flag]:
     if c.target is None:
-        out.append(
-            Flag(
-                code=f"class_afterwards_{c.name}",
-                text=f"no {word} class was declared before the "
-                "test; the class named is derived from the result",
-            )
+        yield Flag(
+            code=f"class_afterwards_{c.name}",
+            text=f"no {word} class was declared before the test; the class named is derived from "
+            "the result",
         )
     elif not c.meets:
-        out.append(
-            Flag(
-                code=f"class_not_met_{c.name}",
-                text=f"RMSE_{c.name} {c.rmse:.3f} m exceeds the declared class of {c.target:.3f} m",
-            )
+        yield Flag(
+            code=f"class_not_met_{c.name}",
+            text=f"RMSE_{c.name} {c.rmse:.3f} m exceeds the declared class of {c.target:.3f} m",
         )
+
+
+def _survey_flags(c: Component, word: str) -> Iterator[Flag]:
     if c.survey is None:
-        out.append(
-            Flag(
-                code=f"survey_unknown_{c.name}",
-                text=f"the {word} accuracy of the survey is not "
-                "stated for every point, so its error is not counted in (7.11)",
-            )
+        yield Flag(
+            code=f"survey_unknown_{c.name}",
+            text=f"the {word} accuracy of the survey is not stated for every point, so its error "
+            "is not counted in (7.11)",
         )
     elif 2.0 * c.survey > (c.target or c.rmse):
-        out.append(
-            Flag(
-                code=f"survey_coarse_{c.name}",
-                text=f"the {word} survey ({c.survey:.3f} m) is "
-                f"not twice as accurate as the product ({c.target or c.rmse:.3f} m) (7.12)",
-            )
+        yield Flag(
+            code=f"survey_coarse_{c.name}",
+            text=f"the {word} survey ({c.survey:.3f} m) is not twice as accurate as the product "
+            f"({c.target or c.rmse:.3f} m) (7.12)",
         )
-    return out
 
 
-def _reading_flags(assessment: Assessment) -> list[Flag]:
+def _reading_flags(assessment: Assessment) -> Iterator[Flag]:
     """Points whose error of reading is not small against what is judged."""
     if assessment.kind == "intersections":
-        return []
+        return
     h = assessment.component("H")
     limit = (h.target or h.fit) / math.sqrt(2.0) / 2.0
     coarse = [r.name for r in assessment.residuals if math.isfinite(r.dx) and r.read_h > limit]
-    if not coarse:
-        return []
-    return [
-        Flag(
+    if coarse:
+        yield Flag(
             code="reading_coarse",
             text=f"the place in the product could be read no better than half of the accuracy "
             f"judged at {', '.join(coarse)}; the RMSE contains that error",
         )
-    ]
 
 
 def placement_flags(
@@ -253,7 +237,7 @@ def placement_flags(
                 "their distribution and distance from control cannot be told",
             )
         ]
-    out = _spread_flags(spread)
+    out = list(_spread_flags(spread))
     near = distance_to_control(xy, control_map) < CONTROL_SHARE * spread.diagonal
     if np.any(near):
         names = ", ".join(r.name for r, is_near in zip(residuals, near, strict=True) if is_near)
@@ -267,34 +251,26 @@ def placement_flags(
     return out
 
 
-def _spread_flags(spread: Distribution) -> list[Flag]:
-    out = []
+def _spread_flags(spread: Distribution) -> Iterator[Flag]:
     if not spread.of_site:
-        out.append(
-            Flag(
-                code="extent_unknown",
-                text="the extent of the site is not known, so the "
-                "distribution is that within the check points' own extent",
-            )
+        yield Flag(
+            code="extent_unknown",
+            text="the extent of the site is not known, so the distribution is that within the "
+            "check points' own extent",
         )
     if spread.outside:
-        out.append(Flag(code="outside", text=f"{spread.outside} check points lie off the site"))
+        yield Flag(code="outside", text=f"{spread.outside} check points lie off the site")
     if not spread.is_even:
         pairs = zip(spread.quadrants, _QUADRANTS, strict=True)
         counts = ", ".join(f"{n} {name}" for n, name in pairs)
-        out.append(
-            Flag(
-                code="uneven",
-                text=f"check points are not well distributed ({counts}); each "
-                f"quadrant should hold {QUADRANT_SHARE:.0%}",
-            )
+        yield Flag(
+            code="uneven",
+            text=f"check points are not well distributed ({counts}); each quadrant should hold "
+            f"{QUADRANT_SHARE:.0%}",
         )
     if not spread.is_spaced:
-        out.append(
-            Flag(
-                code="crowded",
-                text=f"two check points lie within {spread.spacing:.1%} of the "
-                f"site's diagonal of each other; {SPACING_SHARE:.0%} is asked for",
-            )
+        yield Flag(
+            code="crowded",
+            text=f"two check points lie within {spread.spacing:.1%} of the site's diagonal of each "
+            f"other; {SPACING_SHARE:.0%} is asked for",
         )
-    return out

@@ -78,7 +78,8 @@ class Survey:
 class AccuracyReport:
     """Assessments of one site with what the statement has to tell of their making.
 
-    `untested` names check points that could not be read, with the reason.
+    `untested` names check points that could not be read, with the reason. `distances` are lengths
+    on the map and one sigma of a distance of that length by the adjustment, m.
     """
 
     title: str
@@ -86,6 +87,7 @@ class AccuracyReport:
     survey: Survey = field(default_factory=Survey)
     untested: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    distances: tuple[tuple[float, float], ...] = ()
 
     @property
     def main(self) -> Assessment:
@@ -173,6 +175,7 @@ def statement_text(report: AccuracyReport) -> str:
         _distribution_line(report),
         _control_line(report),
         _seam_line(report),
+        *_distance_lines(report),
         "",
         *_listed("To investigate and to know", flags["survey"]),
         *(f"{note}" for note in report.notes),
@@ -242,6 +245,13 @@ def _seam_line(report: AccuracyReport) -> str:
     return f"Seam mismatch of the mosaic: limit 2 x RMSE_H = {told}; found: ____ (not measured)."
 
 
+def _distance_lines(report: AccuracyReport) -> Iterator[str]:
+    """How well distances within the site are known, where an adjustment tells."""
+    if report.distances:
+        told = ", ".join(f"{_cm(sigma)} cm at {length:g} m" for length, sigma in report.distances)
+        yield f"Distances within the site: one sigma {told} (by the adjustment, not tested)."
+
+
 # -- JSON and metadata ---------------------------------------------------------------------------
 
 
@@ -270,6 +280,7 @@ def statement_json(report: AccuracyReport) -> dict[str, Any]:
             "flags": [asdict(flag) for flag in flags["survey"]],
         },
         "seam_mismatch": {"limit_m": _seam_limit(report), "found_m": None, "meets": None},
+        "distances": [{"length_m": a, "sigma_m": sigma} for a, sigma in report.distances],
         "untested": dict(report.untested),
         "notes": list(report.notes),
     }

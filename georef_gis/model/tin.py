@@ -59,6 +59,15 @@ class EnuPlane:
         return self.origin.enu_from_geo(geo)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SquareCells:
+    """North-up cells on the project's plane: outer corner of the first, and their side, m."""
+
+    left: float
+    top: float
+    cell: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TinTerrain(DemTerrain):
     """Ground from adjusted points; it has a height everywhere, beyond its grid that of the rim.
@@ -137,30 +146,28 @@ def _bilinear(values: Array, at: Array) -> Array:
 
 def tin_terrain(
     frame: EnuPlane,
+    cells: SquareCells,
     heights: Array,
     sigmas: Array,
     *,
-    left: float,
-    top: float,
-    cell: float,
     kind: SurfaceKind,
     sigma: float,
     sigma_shared: float,
 ) -> TinTerrain:
     """Ground from heights, m above the ellipsoid, on a grid of the project's plane; all in m.
 
-    (`left`, `top`) is the outer corner of the first cell; `heights` (rows, cols) north-up, finite.
+    `heights` (rows, cols) are those of `cells`, finite; the rest is told at `TinTerrain`.
     """
     if min(heights.shape) < 2 or not np.all(np.isfinite(heights)):
         raise ValueError("heights must be finite, in at least two rows and columns")
-    slope = [np.abs(np.diff(heights, axis=k)).max() / cell for k in (0, 1)]
+    slope = [np.abs(np.diff(heights, axis=k)).max() / cells.cell for k in (0, 1)]
     return TinTerrain(
         frame=frame,
         heights=np.ascontiguousarray(heights, dtype=np.float64),
-        left=left,
-        top=top,
-        cell=(cell, cell),
-        step=0.5 * cell,
+        left=cells.left,
+        top=cells.top,
+        cell=(cells.cell, cells.cell),
+        step=0.5 * cells.cell,
         sigma=sigma,
         kind=kind,
         sigmas=np.ascontiguousarray(sigmas, dtype=np.float64),

@@ -16,7 +16,8 @@ from georef_gis.model.interchange.poses import by_photo
 from georef_gis.model.photo import Geotag, Photo
 from georef_gis.model.pose import Mount
 from georef_gis.orient.dialects import R_enu_from_cam_of_tag, dialect
-from georef_gis.orient.similarity import Level, SimilarityFit, estimate_similarity, mean_level
+from georef_gis.orient.level import Level, mean_level
+from georef_gis.orient.similarity import SimilarityFit, estimate_similarity
 
 # m, one sigma of positions that state none: see `direct.SIGMA_GNSS`; heights are twice as bad
 SIGMA_H = 2.2

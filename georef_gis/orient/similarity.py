@@ -4,8 +4,6 @@ Heights of receivers and barometers can drift by 100 m over one flight, and a pl
 tilts a block by as much as they tell it to. Here the level comes from the photos' attitudes, the
 rest from the horizontal positions by a search that wrong ones cannot sway; heights turn the block
 only as far as the attitudes leave room for.
-
-Umeyama (1991), "Least-squares estimation of transformation parameters between two point patterns".
 """
 
 from __future__ import annotations
@@ -14,38 +12,21 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array, exp_so3, skew
 from georef_gis.model.interchange.block import Similarity
+from georef_gis.orient.level import Level
+from georef_gis.orient.similarity_search import OUTLIER, Mask, extent, search_3d, search_level
 
-Mask = NDArray[np.bool_]
-
-# rad, one sigma of what all attitudes of a flight share: how the camera hangs
-SIGMA_LEVEL_SHARED = math.radians(4.0)
 # share of its length by which a block without positions bends
 BENDING = 0.003
-# sigmas: further off is an outlier
-OUTLIER = 3.5
-# share of the positions that must agree
-AGREEMENT = 0.5
 # relative, one sigma of the scale; more and the positions do not tell it
 WORST_SCALE = 0.2
 # rad, one sigma of the level; more and nothing tells how the block lies about its line
 WORST_LEVEL = math.radians(15.0)
 # tilts against the attitudes by more than this many sigmas are the heights' fault
 TILT_TEST = 3.0
-_TRIALS = 2000
-_LARGEST = 4_000_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Level:
-    """Up in the frame that is to be placed: a unit vector (3,), and its one sigma, rad."""
-
-    up_from: Array
-    sigma: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,33 +49,6 @@ class SimilarityFit:
     rms_h: float
     rms_v: float
     doubts: tuple[str, ...] = ()
-
-
-def mean_level(up_from: Array, sigma: Array, *, shared: float = SIGMA_LEVEL_SHARED) -> Level | None:
-    """Level of many directions (n, 3) with sigmas (n,), rad, some of which are wrong.
-
-    Parameters
-    ----------
-    shared : rad
-        One sigma of the error that all have in common, which no number of them averages out.
-
-    Notes
-    -----
-    Mean with the weights of a Cauchy loss, from the direction nearest to all others.
-    """
-    known = np.all(np.isfinite(up_from), axis=1)
-    d, s = up_from[known], sigma[known]
-    if not len(d):
-        return None
-    some = d[:: max(1, len(d) // 500)]
-    angle = np.arccos(np.clip(some @ some.T, -1.0, 1.0))
-    mean = some[np.argmin(np.median(angle, axis=1))]
-    for _ in range(20):
-        off = np.arccos(np.clip(d @ mean, -1.0, 1.0)) / s
-        weight = 1.0 / (s**2 * (1.0 + (off / 2.0) ** 2))
-        new = weight @ d
-        mean = new / np.linalg.norm(new)
-    return Level(up_from=mean, sigma=float(np.hypot(shared, np.sqrt(1.0 / np.sum(weight)))))
 
 
 def estimate_similarity(
@@ -132,148 +86,18 @@ def estimate_similarity(
         )
     a, b = p_from[known], p_to[known]
     s_h, s_v = sigma_h[known], sigma_v[known]
-    tolerance = OUTLIER * np.hypot(s_h, BENDING * _extent(b[:, :2]))
+    tolerance = OUTLIER * np.hypot(s_h, BENDING * extent(b[:, :2]))
     rng = np.random.default_rng(seed)
     if level is None:
-        start, inliers = _search_3d(a, b, tolerance, np.hypot(s_v, tolerance), rng)
+        start, inliers = search_3d(a, b, tolerance, np.hypot(s_v, tolerance), rng)
         fit = _refined(a, b, start, inliers, (s_h, s_v), None)
     else:
-        start, inliers = _search_level(a, b, tolerance, level, rng)
+        start, inliers = search_level(a, b, tolerance, level, rng)
         fit = _with_level(a, b, start, inliers, (s_h, s_v), level)
     _check(fit, b)
     out = np.zeros(len(p_from), dtype=np.bool_)
     out[np.flatnonzero(known)[fit.inliers]] = True
     return replace(fit, inliers=out)
-
-
-def _extent(p: Array) -> float:
-    """Size of a set of places, m, by its middle 90 %: a far one does not stretch it."""
-    low, high = np.percentile(p, [5, 95], axis=0)
-    return float(np.linalg.norm(high - low))
-
-
-# -- search ------------------------------------------------------------------------------------
-
-
-def _enough(count: int, n: int) -> None:
-    if count < max(3, math.ceil(AGREEMENT * n)):
-        raise GeometryError(
-            f"no scale and heading bring more than {count} of {n} positions together: they are of "
-            "other photos, or their errors are larger than they state; give positions in a file"
-        )
-
-
-def _search_level(
-    a: Array, b: Array, tolerance: Array, level: Level, rng: np.random.Generator
-) -> tuple[Similarity, Mask]:
-    """Scale, heading and shift that most positions agree with, the vertical being known.
-
-    Pairs of positions make the hypotheses: all of them for few photos, drawn at random for many.
-    """
-    R_level = _level_rotation(level.up_from)
-    q = a @ R_level.T
-    # What stands high moves sideways with an error of the level.
-    shape = np.percentile(q, 95, axis=0) - np.percentile(q, 5, axis=0)
-    high = shape[2] / max(float(np.hypot(*shape[:2])), 1e-12) * _extent(b[:, :2])
-    tolerance = np.hypot(tolerance, OUTLIER * level.sigma * min(high, _extent(b[:, :2])))
-    z, w = q[:, 0] + 1j * q[:, 1], b[:, 0] + 1j * b[:, 1]
-    pairs = _pairs(z, rng)
-    if not len(pairs):
-        raise GeometryError("all shots of the block are at one place: it has no scale")
-    i, j = pairs.T
-    turn = (w[j] - w[i]) / (z[j] - z[i])
-    shift = w[i] - turn * z[i]
-    off = np.abs(turn[:, None] * z + shift[:, None] - w) / tolerance
-    cost = np.sum(np.minimum(off, 1.0) ** 2, axis=1)
-    best = int(np.argmin(cost))
-    inliers = off[best] < 1.0
-    _enough(int(np.count_nonzero(inliers)), len(a))
-    scale, heading = abs(turn[best]), np.angle(turn[best])
-    if not scale > 0.0:
-        raise GeometryError("all positions are one: the block has no scale")
-    R = exp_so3([0.0, 0.0, float(heading)]) @ R_level
-    at = np.array([shift[best].real, shift[best].imag, 0.0])
-    up = b[:, 2] - scale * q[:, 2]
-    at[2] = float(np.nanmedian(up[inliers])) if np.any(np.isfinite(up[inliers])) else 0.0
-    return Similarity(scale=float(scale), R_to_from=R, shift=at), inliers
-
-
-def _pairs(z: NDArray[np.complex128], rng: np.random.Generator) -> NDArray[np.int64]:
-    """Pairs of places that lie far apart; shape (m, 2)."""
-    n = len(z)
-    trials = min(_TRIALS, max(200, _LARGEST // n))
-    if n * (n - 1) // 2 <= trials:
-        pairs = np.column_stack(np.triu_indices(n, 1))
-    else:
-        pairs = rng.integers(0, n, (4 * trials, 2))
-    length = np.abs(z[pairs[:, 0]] - z[pairs[:, 1]])
-    # Short ones magnify the error of a position; half of all pairs are longer than the median.
-    far = length >= max(float(np.median(length)) * 0.99, 1e-12)
-    return np.asarray(pairs[far][:trials], dtype=np.int64)
-
-
-def _level_rotation(up: Array) -> Array:
-    """A rotation that brings a direction to the third axis."""
-    helper = np.eye(3)[int(np.argmin(np.abs(up)))]
-    first = np.cross(helper, up)
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(up, first), up])
-
-
-def _search_3d(
-    a: Array, b: Array, tolerance: Array, tolerance_v: Array, rng: np.random.Generator
-) -> tuple[Similarity, Mask]:
-    """Similarity that most positions with heights agree with, by triples."""
-    full = np.isfinite(b[:, 2])
-    if np.count_nonzero(full) < 3:
-        raise GeometryError(
-            "nothing tells how the block lies: neither attitudes nor three heights are known"
-        )
-    places = np.flatnonzero(full)
-    best: tuple[float, Similarity | None, Mask] = (math.inf, None, full)
-    for _ in range(min(_TRIALS // 4, 20 * len(places) ** 2)):
-        three = rng.choice(places, 3, replace=False)
-        if _thinness(a[three]) < 0.1:
-            continue
-        found = umeyama(a[three], b[three])
-        off = found.apply(a) - b
-        far = np.hypot(off[:, 0], off[:, 1]) / tolerance
-        high = np.where(full, np.abs(off[:, 2]) / (OUTLIER * tolerance_v), 1.0)
-        cost = float(np.sum(np.minimum(np.maximum(far, high), 1.0) ** 2))
-        if cost < best[0]:
-            best = (cost, found, np.asarray((far < 1.0) & (high < 1.0)))
-    if best[1] is None:
-        raise GeometryError(
-            "the positions lie on one line and no attitude tells how the block lies about it; "
-            "give attitudes, or a position off the line"
-        )
-    _enough(int(np.count_nonzero(best[2])), len(a))
-    return best[1], best[2]
-
-
-def _thinness(p: Array) -> float:
-    """Second over first singular value of places about their middle: 0 on a line."""
-    values = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
-    return float(values[1] / max(values[0], 1e-300))
-
-
-def umeyama(p_from: Array, p_to: Array) -> Similarity:
-    """Least-squares similarity of places, all of one weight; shapes (n, 3), n >= 3.
-
-    Raises
-    ------
-    GeometryError
-        If the places lie on a line.
-    """
-    if _thinness(p_from) < 1e-9:
-        raise GeometryError("the places lie on one line: the rotation about it is not told")
-    mean_from, mean_to = p_from.mean(axis=0), p_to.mean(axis=0)
-    x, y = p_from - mean_from, p_to - mean_to
-    u, d, vt = np.linalg.svd(y.T @ x)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
-    R = (u * sign) @ vt
-    scale = float(d @ sign / np.sum(x**2))
-    return Similarity(scale=scale, R_to_from=R, shift=mean_to - scale * R @ mean_from)
 
 
 # -- refinement --------------------------------------------------------------------------------
@@ -434,7 +258,7 @@ def _check(fit: SimilarityFit, b: Array) -> None:
     sigma = np.sqrt(np.maximum(np.diag(fit.similarity.covariance), 0.0))
     if not sigma[0] <= WORST_SCALE:
         raise GeometryError(
-            f"the positions lie within {_extent(b[:, :2]):.1f} m, too close to each other for "
+            f"the positions lie within {extent(b[:, :2]):.1f} m, too close to each other for "
             f"their errors: the scale is known to {sigma[0]:.0%} only"
         )
     if not max(sigma[1], sigma[2]) <= WORST_LEVEL:

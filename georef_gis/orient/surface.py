@@ -9,17 +9,17 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from georef_gis.errors import GeometryError, InputError
+from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.geodesy import Origin
 from georef_gis.model.terrain import DemTerrain
 from georef_gis.model.tie_points import GroundPoints
-from georef_gis.model.tin import EnuPlane, TinTerrain, tin_terrain
+from georef_gis.model.tin import EnuPlane, SquareCells, TinTerrain, tin_terrain
 from georef_gis.orient.dem_bias import DemBias, estimate_bias, unbiased
 from georef_gis.orient.surface_plane import few_points, fit_plane
 from georef_gis.orient.surface_points import FLOOR, Cloud, Scattered, cloud_of, without_blunders
 from georef_gis.orient.surface_tin import Trials, plane_terrain, tin_of, try_surfaces
-from georef_gis.project.columns_file import read_columns, write_columns
+from georef_gis.project.columns_file import columns_of, write_columns
 
 # name of the surface's file in a project's folder `adjustment`
 SURFACE = "surface.npz"
@@ -243,23 +243,19 @@ def load_surface(path: Path) -> TinTerrain:
     InputError
         If the file is missing, cut off or none of ours.
     """
-    read = read_columns(path, KIND)
-    try:
+    with columns_of(path, KIND) as read:
         lat, lon = (float(v) for v in read["origin"])
         left, top, cell = (float(v) for v in read["place"])
         sigma, shared = (float(v) for v in read["sigma"])
         origin = Origin(lat=lat, lon=lon, height_ellipsoidal=float(read["level"]))
         return tin_terrain(
             EnuPlane(origin=origin, level=float(read["plane_level"])),
+            SquareCells(left=left, top=top, cell=cell),
             read["heights"].astype(np.float64) + float(read["middle"]),
-            read["sigmas"].astype(np.float64), left=left, top=top, cell=cell,
+            read["sigmas"].astype(np.float64),
             kind="plane" if str(read["surface"]) == "plane" else "tin",
             sigma=sigma, sigma_shared=shared,
         )  # fmt: skip
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"holds no surface ({error}); run `georef run` to make it anew", source=str(path)
-        ) from error
 
 
 def _plane_of(terrain: TinTerrain) -> EnuPlane:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from georef_gis.frames import Array
-from georef_gis.model.tin import EnuPlane, TinTerrain, tin_terrain
+from georef_gis.model.tin import EnuPlane, SquareCells, TinTerrain, tin_terrain
 from georef_gis.orient.surface_plane import Plane, fit_plane
 from georef_gis.orient.surface_points import FLOOR, Cloud, Indices, Mask, local_planes
 
@@ -171,9 +171,8 @@ def plane_terrain(
     sigmas = plane.sigma_at(lattice.sigma_nodes())
     own = float(np.sqrt(np.mean(plane.sigma_at(points) ** 2)))
     return tin_terrain(
-        frame, plane.at(lattice.nodes(slice(None))), sigmas,
-        left=lattice.left, top=lattice.top, cell=lattice.cell, kind="plane",
-        sigma=float(np.hypot(own, shared)), sigma_shared=shared,
+        frame, lattice, plane.at(lattice.nodes(slice(None))), sigmas,
+        kind="plane", sigma=float(np.hypot(own, shared)), sigma_shared=shared,
     )  # fmt: skip
 
 
@@ -201,18 +200,15 @@ def tin_of(
     sigmas = _sigmas(cloud, variance, trial, plane, nodes, inside)
     own = float(np.sqrt(np.mean((sigmas[inside] if inside.any() else sigmas) ** 2)))
     return tin_terrain(
-        frame, heights, sigmas, left=lattice.left, top=lattice.top, cell=lattice.cell,
+        frame, lattice, heights, sigmas,
         kind="tin", sigma=float(np.hypot(own, shared)), sigma_shared=shared,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lattice:
-    """A north-up grid of square cells on the project's plane, m."""
+class Lattice(SquareCells):
+    """So many rows and columns of them."""
 
-    left: float
-    top: float
-    cell: float
     rows: int
     cols: int
 

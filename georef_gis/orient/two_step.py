@@ -73,6 +73,11 @@ class MountSample:
     covariance: Array
     by_navigation: Array
 
+    def residual(self, lever_arm_body: Array, R_body_from_cam: Array) -> Array:
+        """This less a mount: lever arm, m, and rotation vector, rad, body axes; shape (6,)."""
+        turn = log_so3(self.R_body_from_cam @ R_body_from_cam.T)
+        return np.concatenate([self.lever_arm_body - lever_arm_body, turn])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MountRow:
@@ -251,7 +256,7 @@ def two_step(
     gain = np.linalg.inv(np.sum(weights, axis=0)) @ np.hstack(weights)
     independent = np.linalg.inv(np.sum(weights, axis=0))
     covariance = independent if joint is None else gain @ joint @ gain.T
-    residuals = np.array([_residual(sample, arm, R) for sample in samples])
+    residuals = np.array([sample.residual(arm, R) for sample in samples])
     return estimate_of(samples, residuals, (arm, R), covariance, independent, left_out)
 
 
@@ -309,17 +314,12 @@ def _weight(sample: MountSample) -> Array:
     return np.asarray(np.linalg.inv(sample.covariance))
 
 
-def _residual(sample: MountSample, arm: Array, R: Array) -> Array:
-    turn = log_so3(sample.R_body_from_cam @ R.T)
-    return np.concatenate([sample.lever_arm_body - arm, turn])
-
-
 def _mean(samples: Sequence[MountSample], weights: Sequence[Array]) -> tuple[Array, Array]:
     """Weighted mean; rotations by repeated means of the rotation vectors from the last one."""
     arm, R = samples[0].lever_arm_body, samples[0].R_body_from_cam
     total = np.sum(weights, axis=0)
     for _ in range(_ROUNDS):
-        r = [_residual(sample, arm, R) for sample in samples]
+        r = [sample.residual(arm, R) for sample in samples]
         step = np.linalg.solve(
             total, np.sum([w @ x for w, x in zip(weights, r, strict=True)], axis=0)
         )
@@ -341,7 +341,7 @@ def _test(
     left_out: dict[str, str] = {}
     while len(kept) >= FEWEST_TO_TEST:
         arm, R = _mean([samples[i] for i in kept], [weights[i] for i in kept])
-        r = [_residual(samples[i], arm, R) for i in kept]
+        r = [samples[i].residual(arm, R) for i in kept]
         d2 = np.array([x @ weights[i] @ x for i, x in zip(kept, r, strict=True)])
         limit = CHI2_6 * max(1.0, float(np.median(d2)) / 5.348)
         worst = int(np.argmax(d2))

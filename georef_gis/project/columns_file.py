@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -56,6 +57,27 @@ def read_columns(path: Path, kind: str) -> dict[str, Any]:
             return {name: file[name] for name in file.files if name not in ("kind", "format")}
     except _BROKEN as error:
         raise InputError(f"cannot be read ({error}); {_CURE}", source=str(path)) from error
+
+
+@contextmanager
+def columns_of(path: Path, kind: str, *, cure: str = _CURE) -> Iterator[dict[str, Any]]:
+    """Columns for a `with` that makes a value of them: one that does not fit is the file's fault.
+
+    Parameters
+    ----------
+    cure
+        What makes the file anew.
+
+    Raises
+    ------
+    InputError
+        As `read_columns`; and in place of a KeyError or ValueError within the `with`.
+    """
+    read = read_columns(path, kind)
+    try:
+        yield read
+    except (KeyError, ValueError) as error:
+        raise InputError(f"holds no {kind} ({error}); {cure}", source=str(path)) from error
 
 
 def kind_of(path: Path) -> str:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from georef_gis.frames import Array
-from georef_gis.project.columns_file import read_columns
+from georef_gis.project.columns_file import read_columns, write_columns
 
-KIND = "joint covariance"
+_KIND = "joint covariance"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,6 +33,32 @@ class PoseCovariance:
         return np.asarray(self.matrix[np.ix_(rows, rows)])
 
 
+def save_joint_covariance(
+    path: Path,
+    *,
+    photo_ids: Sequence[str],
+    shared_names: Sequence[str],
+    covariance: Array,
+    with_level: bool,
+) -> None:
+    """Write the covariance of all poses and shared unknowns, whole or not at all.
+
+    Parameters
+    ----------
+    covariance : shape (6 n + s, 6 n + s), m, rad and the units of the shared unknowns
+        Of `(dp_enu, dtheta_enu)` of each of `photo_ids`, then of `shared_names`.
+    with_level
+        Whether the last unknown is the level that control gave, m, by which all heights rise.
+    """
+    columns = {
+        "photo_ids": list(photo_ids),
+        "shared_names": list(shared_names),
+        "covariance": covariance,
+        "with_level": int(with_level),
+    }
+    write_columns(path, _KIND, columns)
+
+
 def load_pose_covariance(path: Path) -> PoseCovariance | None:
     """Joint covariance kept in `adjustment/covariance.npz`; None where there is none.
 
@@ -43,7 +69,7 @@ def load_pose_covariance(path: Path) -> PoseCovariance | None:
     """
     if not path.exists():
         return None
-    read = read_columns(path, KIND)
+    read = read_columns(path, _KIND)
     ids = tuple(str(name) for name in read["photo_ids"])
     n, full = 6 * len(ids), read["covariance"]
     matrix = full[:n, :n].copy()

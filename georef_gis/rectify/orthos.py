@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from georef_gis.errors import Cancelled
@@ -16,16 +17,23 @@ from georef_gis.rasters.warp import Image, reduction_for, warp_window
 from georef_gis.rasters.writer import TiledWriter
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrthoTarget:
+    """File to write, what kind of raster it is, its grid, and the grid's pixel, m."""
+
+    path: Path
+    profile: RasterProfile
+    grid: Grid
+    gsd: float
+
+
 def write_ortho(
     photo: OrientedPhoto,
     image: Image,
     footprint: Footprint,
     ground: Ground,
-    profile: RasterProfile,
-    grid: Grid,
-    path: Path,
+    target: OrthoTarget,
     *,
-    gsd: float,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Ortho:
     """Write the ortho of one photo as a COG; it appears whole or not at all.
@@ -33,9 +41,7 @@ def write_ortho(
     Parameters
     ----------
     image : shape (rows, cols, bands)
-        The photo, decoded with `reduction_for(gsd, footprint.gsd)`.
-    gsd
-        Pixel size of the grid, m.
+        The photo, decoded with `reduction_for(target.gsd, footprint.gsd)`.
     cancelled
         Asked before each tile.
 
@@ -44,15 +50,16 @@ def write_ortho(
     Cancelled
         If `cancelled` says so; nothing is left behind.
     """
-    plan = plan_tiles(grid, {photo.id: footprint.ring_map}, tile_size=profile.tile_size)
+    grid = target.grid
+    plan = plan_tiles(grid, {photo.id: footprint.ring_map}, tile_size=target.profile.tile_size)
     whole = Window(col=0, row=0, width=grid.width, height=grid.height)
     step = choose_step(photo, ground, grid, whole)
-    reduce = reduction_for(gsd, footprint.gsd)
-    with TiledWriter(path, profile) as writer:
+    reduce = reduction_for(target.gsd, footprint.gsd)
+    with TiledWriter(target.path, target.profile) as writer:
         for task in plan.tiles:
             if cancelled():
                 raise Cancelled("stopped by the user")
             tile = warp_window(photo, image, ground, grid, task.window, step=step, reduce=reduce)
             if tile is not None:
                 writer.write_tile(task.row, task.col, tile[0], tile[1])
-    return Ortho(photo_id=photo.id, path=path, grid=grid)
+    return Ortho(photo_id=photo.id, path=target.path, grid=grid)

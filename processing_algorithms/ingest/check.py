@@ -59,7 +59,7 @@ class Check(Algorithm[CheckParameters]):
         rings: list[Array] = []
         summary: dict[str, Any] = {
             "photos": len(photos),
-            "refused": len(result.refused) + len(strays),
+            "refused": len(result.refused) + len(result.photos) - len(photos),
         }
         if frame is not None and prints:
             rings, figures = _coverage(frame, prints)

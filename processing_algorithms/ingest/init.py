@@ -53,6 +53,7 @@ class Init(Algorithm[InitParameters]):
         from georef_gis.geodesy import map_crs
         from georef_gis.ingest.photos import find_photos, read_photos
         from georef_gis.project import Project
+        from processing_algorithms.ingest.outliers import without_strays
 
         folder = parameters.photos
         nested = folder / "photos"
@@ -74,7 +75,11 @@ class Init(Algorithm[InitParameters]):
         project = Project.create(into, values, notes, overwrite=parameters.overwrite)
         settings = project.folder / "project.toml"
         doubts = [str(error) for _, error in result.refused]
-        doubts += [*result.doubts, *(d for photo in result.photos for d in photo.doubts)]
+        doubts += [
+            *without_strays(result.photos)[1],
+            *result.doubts,
+            *(d for photo in result.photos for d in photo.doubts),
+        ]
         for doubt in doubts:
             feedback.warn(doubt)
         summary: dict[str, Any] = {

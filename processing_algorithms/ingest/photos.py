@@ -59,17 +59,18 @@ class ReadPhotos(Algorithm[p.Parameters]):
             project.photo_files(), workers=context.workers, progress=progress, override=override
         )
         photos, doubts = _with_pose_file(project, list(result.photos))
-        photos, strays = without_strays(photos)
-        photos = [_as_set(photo, project) for photo in photos]
+        kept, strays = without_strays(photos)
+        refused = len(result.refused) + len(photos) - len(kept)
+        photos = [_as_set(photo, project) for photo in kept]
         frame = _frame(project, photos)
-        refused = [*(str(error) for _, error in result.refused), *strays]
-        doubts = [*refused, *doubts, *result.doubts, *(d for p in photos for d in p.doubts)]
+        doubts = [*(str(error) for _, error in result.refused), *strays, *doubts, *result.doubts]
+        doubts += [doubt for photo in photos for doubt in photo.doubts]
         for doubt in doubts:
             feedback.warn(doubt)
         _save(project, frame, photos, result.cameras)
         summary = {
             "photos": len(photos),
-            "refused": len(refused),
+            "refused": refused,
             "cameras": {c.id: f"f = {c.fx:.0f} px ({c.source})" for c in result.cameras.values()},
             "crs": frame.crs.name,
             "doubts": doubts,

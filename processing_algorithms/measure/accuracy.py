@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Result, check_cancelled
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.accuracy_adjusted import REPORT, distances, joint_covariance
 from processing_algorithms.measure.accuracy_table import (
     OUTPUTS,
     account_of,
@@ -62,11 +63,13 @@ class Accuracy(Algorithm[AccuracyParameters]):
     in_run = True
     uses_quick = True
     uses_settings = ("control", "ground", "products", "project")
+    version = "2"
 
     def inputs(self, context: Context, parameters: AccuracyParameters) -> Sequence[Path]:
-        """The mosaic."""
-        mosaic = context.require_project().products / "mosaic.tif"
-        return [mosaic] if mosaic.is_file() else []
+        """The mosaic, and what the adjustment says of itself."""
+        project = context.require_project()
+        files = [project.products / "mosaic.tif", project.adjustment / REPORT]
+        return [path for path in files if path.is_file()]
 
     def run(self, context: Context, parameters: AccuracyParameters, feedback: Feedback) -> Result:
         """Measure, judge and write."""
@@ -91,6 +94,7 @@ class Accuracy(Algorithm[AccuracyParameters]):
             survey=points.survey(project, site),
             untested=untested,
             notes=points.notes,
+            distances=distances(project, site),
         )
         feedback.progress(0.9, "measured")
         check_cancelled(feedback)
@@ -226,30 +230,11 @@ def _measured(
     products = assess(
         _product_residuals(site, points, places), targets, kind="products", measured_on=on
     )
-    crossed = _intersection_residuals(site, points, untested, _joint(project, site))
+    crossed = _intersection_residuals(site, points, untested, joint_covariance(project, site))
     found = [products]
     if crossed:
         found.append(assess(crossed, targets, kind="intersections"))
     return found
-
-
-def _joint(project: Project, site: Site) -> JointCovariance | None:
-    """Joint covariance of the adjusted poses, where all are and the adjustment kept it."""
-    from georef_gis.project.joint_covariance import load_pose_covariance
-
-    if any(kind != "adjusted" for kind in site.pose_kinds.values()):
-        return None
-    kept = load_pose_covariance(project.adjustment / "covariance.npz")
-    if kept is None or kept.of(list(site.photos)) is None:
-        return None
-
-    def joint(photo_ids: Sequence[str]) -> Array:
-        found = kept.of(photo_ids)
-        if found is None:
-            raise KeyError(f"no joint covariance of {photo_ids}")
-        return found
-
-    return joint
 
 
 def _surface(project: Project) -> str:

@@ -193,6 +193,8 @@ def account_of(report: AccuracyReport, outputs: Mapping[str, Path]) -> dict[str,
     for name, c in tested.items():
         key = name.lower()
         out[f"rmse_{key}_m"], out[f"check_points_{key}"] = round(c.rmse, 4), c.n
+    if report.distances:
+        out["sigma_of_distances_m"] = {f"{a:g} m": round(b, 4) for a, b in report.distances}
     out["statement"] = " ".join(sentence(c) for c in statement_components(main) if c.name != "3D")
     if tested:
         flags = report_flags(report)

@@ -11,6 +11,7 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.frames import Array
     from georef_gis.geodesy import MapFrame
     from georef_gis.ingest.control_places import Placed
     from georef_gis.model.control import Control, ControlObservations, Mark
@@ -40,17 +41,11 @@ class LoadedControl:
             return None
         return self.placed.observations.with_marks(self.check.keep)
 
-
-def load_control(
-    project: Project, site: Site, *, joint: JointCovariance | None = None
-) -> ControlObservations | None:
-    """Points that are not off and their good marks, for the adjustment; None without any.
-
-    What was wrong is told by the tool `control`; see `examine_control`.
-    """
-    loaded = examine_control(project, site, joint=joint)
-    found = None if loaded is None else loaded.observations
-    return None if found is None else found.of_role("control", "check")
+    @property
+    def usable(self) -> ControlObservations | None:
+        """Points that are not off and their good marks, for the adjustment; None without any."""
+        found = self.observations
+        return None if found is None else found.of_role("control", "check")
 
 
 def examine_control(
@@ -116,7 +111,7 @@ class ControlPoints(Algorithm[p.Parameters]):
     in_run = True
     uses_quick = True
     uses_settings = ("control", "ground", "project")
-    version = "2"
+    version = "3"
 
     def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
         """Points and marks."""
@@ -237,36 +232,57 @@ def _save(project: Project, points: list[dict[str, Any]], marks: list[dict[str, 
 
 
 def _compared(site: Site, loaded: LoadedControl) -> dict[str, Any]:
-    """How far the marked pixels land from the surveyed places, and what was to be expected."""
+    """How far the good marks land from the surveyed places, and what was to be expected.
+
+    Of points that are not off. A mark that was called wrong does not count, though one of a check
+    point stays for the accuracy statement: it tells of a click, not of the poses.
+    """
+    import numpy as np
+
+    placed, check = loaded.placed, loaded.check
+    assert placed is not None
+    assert check is not None
+    o = placed.observations
+    asked = [k for k, j in enumerate(o.point) if o.role[j] != "off"]
+    good = [k for k in asked if check.keep[k] and not check.suspect[k]]
+    landed = [_landed(site, o, k) for k in good]
+    found = [one for one in landed if one is not None]
+    told = {"wrong_marks": len(asked) - len(good)}
+    if not found:
+        return told
+    rms = np.sqrt(np.mean([off**2 for off, _ in found], axis=0))
+    expected = np.sqrt(np.mean([variance for _, variance in found], axis=0))
+    return {
+        "compared": len(found),
+        **told,
+        "rms_east_m": round(float(rms[0]), 3),
+        "rms_north_m": round(float(rms[1]), 3),
+        "expected_sigma_east_m": round(float(expected[0]), 3),
+        "expected_sigma_north_m": round(float(expected[1]), 3),
+        # of both axes, where one figure has to do
+        "expected_sigma_m": round(float(np.sqrt(np.mean(expected**2))), 3),
+    }
+
+
+def _landed(site: Site, o: ControlObservations, mark: int) -> tuple[Array, Array] | None:
+    """Where a mark lands less its surveyed place, and variance: east, north; m, m^2; each (2,).
+
+    None where its ray does not meet the ground.
+    """
     import numpy as np
 
     from georef_gis.errors import GeometryError
     from georef_gis.model.ground_point import ground_point_covariance, locate
 
-    o = loaded.observations
-    off, expected = [], []
-    for k, key in enumerate(o.photo_ids if o is not None else ()):
-        assert o is not None
-        if o.role[o.point[k]] == "off":
-            continue
-        photo = site.photos[key]
-        try:
-            found = locate(photo, o.uv[k], site.terrain)
-            if not np.all(np.isfinite(found)):
-                continue
-            cov = ground_point_covariance(
-                photo, found, site.terrain, sigma_uv=float(o.sigma_px[k])
-            )  # fmt: skip
-        except GeometryError:
-            continue
-        off.append(found[:2] - o.p_enu[o.point[k], :2])
-        expected.append(np.diag(cov)[:2])
-    if not off:
-        return {}
-    rms = np.sqrt(np.mean(np.square(off), axis=0))
-    return {
-        "compared": len(off),
-        "rms_east_m": round(float(rms[0]), 3),
-        "rms_north_m": round(float(rms[1]), 3),
-        "expected_sigma_m": round(float(np.sqrt(np.mean(expected))), 3),
-    }
+    photo = site.photos[o.photo_ids[mark]]
+    try:
+        found = locate(photo, o.uv[mark], site.terrain)
+        if not np.all(np.isfinite(found)):
+            return None
+        covariance = ground_point_covariance(
+            photo, found, site.terrain, sigma_uv=float(o.sigma_px[mark])
+        )
+    except GeometryError:
+        return None
+    off = np.asarray(found[:2] - o.p_enu[o.point[mark], :2])
+    return off, np.asarray(np.diag(covariance)[:2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 from pathlib import Path
@@ -13,9 +13,13 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, che
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.model.grid import Grid
+    from georef_gis.model.layers import Footprint
     from georef_gis.model.photo import Photo
     from georef_gis.model.plan import Plan
     from georef_gis.mosaic.nadir import NadirMosaic, TileSketch
+    from georef_gis.project import Project
+    from georef_gis.rasters.profile import RasterProfile
     from georef_gis.rasters.warp import Image, ImageCache
     from georef_gis.rasters.writer import TiledWriter
     from processing_algorithms.site import Site
@@ -60,11 +64,8 @@ class MosaicTool(Algorithm[MosaicParameters]):
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
         from georef_gis.errors import GeometryError
-        from georef_gis.model.plan import plan_tiles
         from georef_gis.rasters.warp import ImageCache, one_thread_each
         from georef_gis.rasters.writer import TiledWriter
-        from georef_gis.rectify.grids import plan_grid
-        from processing_algorithms.rasters import profile_for
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -73,24 +74,14 @@ class MosaicTool(Algorithm[MosaicParameters]):
             return Result(summary={})
         site = load_site(project, quick=context.quick)
         footprints = {k: f for k, f in load_footprints(project).items() if k in site.photos}
-        gsd = parameters.gsd or project.settings.products.gsd_m
         cache = ImageCache()
         usable, refused = _same_kind(site, list(footprints))
         footprints = {k: footprints[k] for k in usable}
-        grid = plan_grid(list(footprints.values()), site.frame, gsd=gsd)
-        plan = plan_tiles(
-            grid,
-            {k: f.ring_map for k, f in footprints.items()},
-            capacity=cache.capacity(_largest_image(site, usable)),
-        )
-        kind = bands, dtype = _kind(site, cache, usable)
-        profile = profile_for(
-            project, site.frame, grid, bands=bands, dtype=dtype,
-            title=project.settings.project.name or "mosaic",
-        )  # fmt: skip
-        names = project.settings.products.band_names
-        if names and len(names) != bands:
-            feedback.warn(f"[products] band_names: {len(names)} names for {bands} bands, not used")
+        gsd = parameters.gsd or project.settings.products.gsd_m
+        capacity = cache.capacity(_largest_image(site, usable))
+        grid, plan = _planned(site, footprints, gsd, capacity)
+        kind = _kind(site, cache, usable)
+        profile = _profile(project, site, grid, kind, feedback)
         target = project.products / "mosaic.tif"
         broken: list[str] = []
         mosaic = _renderer(site, footprints, grid, cache, broken, kind)
@@ -99,7 +90,8 @@ class MosaicTool(Algorithm[MosaicParameters]):
             valid = _render(mosaic, plan, cache, writer, max(1, context.workers), feedback)
             if not valid:
                 raise GeometryError(broken[0] if broken else "no photo shows the ground")
-        for message in dict.fromkeys([*refused, *broken]):
+        doubts = list(dict.fromkeys([*refused, *broken]))
+        for message in doubts:
             feedback.warn(message)
         pixel = grid.pixel * site.gsd_unit
         summary = {
@@ -110,7 +102,7 @@ class MosaicTool(Algorithm[MosaicParameters]):
             "size_px": [grid.width, grid.height],
             "tiles": len(plan.tiles),
             "decodes_per_photo": round(cache.decodes / max(len(usable), 1), 2),
-            "doubts": list(dict.fromkeys([*refused, *broken])),
+            "doubts": doubts,
         }
         project.database.set_meta(mosaic={"path": str(target), "gsd_m": pixel, "photos": usable})
         return Result(outputs={"mosaic": target}, summary=summary)
@@ -163,10 +155,37 @@ def _kind(site: Site, cache: ImageCache, names: Sequence[str]) -> tuple[int, str
     raise error or InputError("there is no photo to read")
 
 
+def _planned(
+    site: Site, footprints: Mapping[str, Footprint], gsd: float | None, capacity: int
+) -> tuple[Grid, Plan]:
+    """Grid over the footprints, of `gsd` m, and its tiles for a cache of so many photos."""
+    from georef_gis.model.plan import plan_tiles
+    from georef_gis.rectify.grids import plan_grid
+
+    grid = plan_grid(list(footprints.values()), site.frame, gsd=gsd)
+    return grid, plan_tiles(grid, {k: f.ring_map for k, f in footprints.items()}, capacity=capacity)
+
+
+def _profile(
+    project: Project, site: Site, grid: Grid, kind: tuple[int, str], feedback: Feedback
+) -> RasterProfile:
+    """What file to write; names of bands that are not as many as these are warned of."""
+    from processing_algorithms.rasters import profile_for
+
+    bands, dtype = kind
+    names = project.settings.products.band_names
+    if names and len(names) != bands:
+        feedback.warn(f"[products] band_names: {len(names)} names for {bands} bands, not used")
+    return profile_for(
+        project, site.frame, grid, bands=bands, dtype=dtype,
+        title=project.settings.project.name or "mosaic",
+    )  # fmt: skip
+
+
 def _renderer(
     site: Site,
-    footprints: dict[str, Any],
-    grid: Any,
+    footprints: Mapping[str, Footprint],
+    grid: Grid,
     cache: ImageCache,
     broken: list[str],
     kind: tuple[int, str],

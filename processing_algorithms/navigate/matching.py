@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from georef_gis.model.trajectory import Trajectory
     from georef_gis.navigate.clock_fit import ClockFit
     from georef_gis.navigate.exposures import ExposureTimes, MatchOptions, PhotoClock
-    from georef_gis.project.settings import LogsSection
+    from georef_gis.project.sections import LogsSection
 
 # s; the track is looked up on this grid
 GRID = 0.25

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from georef_gis.model.pose import Pose
     from georef_gis.navigate.exposure_poses import ExposurePoses
-    from georef_gis.project.settings import GroundSection
+    from georef_gis.project.sections import GroundSection
 
 # m and sigmas; a trajectory that is farther from most of the tags is not that of the photos
 ASTRAY, ASTRAY_SIGMAS = 30.0, 6.0

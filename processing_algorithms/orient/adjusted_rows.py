@@ -19,6 +19,7 @@ from georef_gis.model.tin import TinTerrain
 from georef_gis.orient.adjustment.adjust import Adjusted
 from georef_gis.orient.adjustment.block import FLIGHT_NAMES
 from georef_gis.orient.adjustment.checks import Check, Observability, observability
+from georef_gis.orient.adjustment.distances import distance_sigmas
 from georef_gis.orient.adjustment.keep import COVARIANCE, save_adjusted
 from georef_gis.orient.surface import SURFACE, Surface, fit_surface, save_surface
 from georef_gis.orient.surface_trust import trusted
@@ -337,6 +338,7 @@ def _report(
         "checks": [asdict(check) for check in checks],
         "observability": seen.as_json(),
         "control": _control_report(prepared, adjusted),
+        "distances": [asdict(d) for d in distance_sigmas(adjusted.points, adjusted.covariances)],
         "ground": {"kind": ground.report.kind, **ground.report.facts()} if ground else None,
         "weighed_down": [
             {

@@ -12,7 +12,8 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from georef_gis.orient.calibration.bundle import Targets, View
-    from georef_gis.orient.calibration.field import Calibration, CalibrationSettings
+    from georef_gis.orient.calibration.field import CalibrationSettings
+    from georef_gis.orient.calibration.judgement import Calibration
 
 # px, one sigma of a mark that states none: a careful click
 MARK_SIGMA = 0.4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
@@ -14,12 +14,8 @@ if TYPE_CHECKING:
     from georef_gis.frames import Array
     from georef_gis.model.camera import Camera
     from georef_gis.model.pose import Mount, Pose
-    from georef_gis.orient.two_step import MountEstimate, NavigationPose
-
-COLUMNS = ("photo", "x", "y", "z", "roll_deg", "pitch_deg", "yaw_deg")
-MORE_COLUMNS = (
-    "stand", "time_s", "sigma_xy_m", "sigma_z_m", "sigma_roll_pitch_deg", "sigma_yaw_deg",
-)  # fmt: skip
+    from georef_gis.orient.two_step import MountEstimate
+    from processing_algorithms.orient.mount_exposures import Exposures
 
 
 class CalibrateMountParameters(p.Parameters):
@@ -90,22 +86,20 @@ class CalibrateMount(Algorithm[CalibrateMountParameters]):
         self, context: Context, parameters: CalibrateMountParameters, feedback: Feedback
     ) -> Result:
         """Resect, compare, write."""
-        import json
-
         from georef_gis.toolbox.context import check_cancelled
-        from processing_algorithms.orient.calibrate_camera import write_whole
+        from processing_algorithms.orient.mount_account import table_lines
 
         camera = _camera(parameters.camera)
         poses, doubts = _resected(camera, parameters)
-        navigation, stands, times = _exposures(parameters)
-        found = _estimate(parameters, poses, navigation, stands, times)
+        exposures = _exposures(parameters)
+        found = _estimate(parameters, poses, exposures)
         feedback.progress(0.5, "compared")
 
         def again(other: Camera) -> MountEstimate:
             check_cancelled(feedback)
             moved, _ = _resected(other, parameters)
             kept = {key: pose for key, pose in moved.items() if key in poses}
-            return _estimate(parameters, kept, navigation, stands, times)
+            return _estimate(parameters, kept, exposures)
 
         found = with_camera_errors(found, camera, parameters.camera, again)
         doubts += list(found.doubts)
@@ -119,12 +113,8 @@ class CalibrateMount(Algorithm[CalibrateMountParameters]):
         for line in table_lines(found):
             feedback.info(line)
         mount = found.mount(_nominal(parameters))
-        account = parameters.target.with_suffix(".json")
-        write_whole(parameters.target, mount_section(mount, found).encode())
-        told = json.dumps(_account(found, doubts), indent=2) + "\n"
-        write_whole(account, told.encode())
         return Result(
-            outputs={"section": parameters.target, "account": account},
+            outputs=_written(parameters.target, mount, found, doubts),
             summary={
                 "photos": len(found.samples),
                 "left_out": len(found.left_out),
@@ -133,6 +123,21 @@ class CalibrateMount(Algorithm[CalibrateMountParameters]):
                 "doubts": doubts,
             },
         )
+
+
+def _written(
+    target: Path, mount: Mount, found: MountEstimate, doubts: list[str]
+) -> dict[str, Path]:
+    """Write the section and, beside it, the account; both by the name of the output."""
+    import json
+
+    from processing_algorithms.orient.calibrate_camera import write_whole
+    from processing_algorithms.orient.mount_account import json_account, mount_section
+
+    account = target.with_suffix(".json")
+    write_whole(target, mount_section(mount, found).encode())
+    write_whole(account, (json.dumps(json_account(found, doubts), indent=2) + "\n").encode())
+    return {"section": target, "account": account}
 
 
 def _camera(path: Path) -> Camera:
@@ -160,7 +165,8 @@ def _resected(
     import numpy as np
 
     from georef_gis.errors import GeometryError
-    from georef_gis.orient.resection import ControlMarks, resect
+    from georef_gis.orient.resection import resect
+    from georef_gis.orient.resection_marks import ControlMarks
     from processing_algorithms.orient.calibrate_camera import read_target_marks, read_targets
 
     targets = read_targets(parameters.targets)
@@ -192,69 +198,32 @@ def _resected(
     return poses, doubts
 
 
-def _exposures(
-    parameters: CalibrateMountParameters,
-) -> tuple[list[NavigationPose], dict[str, str], Array]:
-    """Poses of the navigation, stands by photo, and times, s."""
+def _exposures(parameters: CalibrateMountParameters) -> Exposures:
+    """Poses of the navigation, with times where a correlation time asks for them."""
     import numpy as np
 
     from georef_gis.errors import InputError
-    from georef_gis.frames import (
-        R_ENU_FROM_NED_SAME_PLACE,
-        R_ned_from_body,
-        jacobian_theta_ned_from_rpy,
-    )
-    from georef_gis.orient.two_step import NavigationPose
-    from processing_algorithms.orient.calibrate_camera import table_rows
+    from processing_algorithms.orient.mount_exposures import PoseSigmas, read_exposures
 
-    out: list[NavigationPose] = []
-    stands: dict[str, str] = {}
-    times: list[float | None] = []
-    for row in table_rows(parameters.exposures, COLUMNS, MORE_COLUMNS):
-        photo = row.text("photo")
-        if any(one.photo_id == photo for one in out):
-            raise InputError(f"photo '{photo}' stands twice", source=row.source, field="photo")
-        roll, pitch, yaw = (
-            math.radians(row.required(name)) for name in ("roll_deg", "pitch_deg", "yaw_deg")
-        )
-        xy = row.number("sigma_xy_m") or parameters.sigma_xy
-        z = row.number("sigma_z_m") or parameters.sigma_z
-        level, heading = row.number("sigma_roll_pitch_deg"), row.number("sigma_yaw_deg")
-        s_level = math.radians(level) if level else parameters.sigma_roll_pitch
-        s_yaw = math.radians(heading) if heading else parameters.sigma_yaw
-        if min(xy, z, s_level, s_yaw) <= 0:
-            raise InputError("sigmas must be > 0", source=row.source)
-        # At one place: the field is small, its plumb lines differ by 0.009 deg per km.
-        J = R_ENU_FROM_NED_SAME_PLACE @ jacobian_theta_ned_from_rpy(roll, pitch, yaw)
-        C = np.zeros((6, 6))
-        C[:3, :3] = np.diag([xy, xy, z]) ** 2
-        C[3:, 3:] = J @ np.diag([s_level, s_level, s_yaw]) ** 2 @ J.T
-        out.append(
-            NavigationPose(
-                photo_id=photo,
-                p_enu=np.array([row.required(axis) for axis in "xyz"]),
-                R_enu_from_body=R_ENU_FROM_NED_SAME_PLACE @ R_ned_from_body(roll, pitch, yaw),
-                covariance=C,
-            )
-        )
-        if row.text("stand"):
-            stands[photo] = row.text("stand")
-        times.append(row.number("time_s"))
-    if parameters.way == "flight" and parameters.correlation > 0 and None in times:
+    otherwise = PoseSigmas(
+        xy=parameters.sigma_xy,
+        z=parameters.sigma_z,
+        roll_pitch=parameters.sigma_roll_pitch,
+        yaw=parameters.sigma_yaw,
+    )
+    found = read_exposures(parameters.exposures, otherwise)
+    needed = parameters.way == "flight" and parameters.correlation > 0
+    if needed and np.isnan(found.times).any():
         raise InputError(
             "a correlation time needs the column time_s in every row",
             source=str(parameters.exposures),
             field="time_s",
         )
-    return out, stands, np.array([0.0 if t is None else t for t in times])
+    return found
 
 
 def _estimate(
-    parameters: CalibrateMountParameters,
-    poses: dict[str, Pose],
-    navigation: list[NavigationPose],
-    stands: dict[str, str],
-    times: Array,
+    parameters: CalibrateMountParameters, poses: dict[str, Pose], exposures: Exposures
 ) -> MountEstimate:
     from dataclasses import replace
 
@@ -267,15 +236,15 @@ def _estimate(
     if parameters.way == "static":
         level = parameters.sigma_level
         settings = StaticSettings(
-            stands=stands,
+            stands=exposures.stands,
             lever_arm_body_antenna=antenna,
             sigma_common=np.array([0.0, 0.0, 0.0, level, level, 0.0]),
         )
-        return calibrate_static(poses, navigation, settings)
+        return calibrate_static(poses, exposures.poses, settings)
     joint = None
     if parameters.correlation > 0:
-        joint = joint_of(navigation, times, tau=parameters.correlation)
-    found = two_step(poses, navigation, joint_navigation=joint)
+        joint = joint_of(exposures.poses, exposures.times, tau=parameters.correlation)
+    found = two_step(poses, exposures.poses, joint_navigation=joint)
     if antenna is None:
         return found
     return replace(found, lever_arm_body_camera=found.lever_arm_body_camera + antenna)
@@ -351,62 +320,3 @@ def _nominal(parameters: CalibrateMountParameters) -> Mount:
         R_body_from_cam_nominal=nominal.copy(),
         lever_arm_body_antenna=np.zeros(3) if antenna is None else antenna,
     )
-
-
-def table_lines(found: MountEstimate) -> list[str]:
-    """Tables 4 and 5 of the paper as lines of text."""
-    lines = ["axes right, forward, up   value   sd of one photo   sd of the value   photos"]
-    for row in found.to_table():
-        lines.append(
-            f"{row.quantity:<6s} {row.unit:<4s} {row.value:12.4f} {row.sd:12.4f} "
-            f"{row.sd_mean:12.4f} {row.photos:6d}"
-        )
-    return lines
-
-
-def mount_section(mount: Mount, found: MountEstimate) -> str:
-    """Section [mount] for project.toml."""
-    import numpy as np
-
-    def three(values: Array, digits: int) -> str:
-        return "[" + ", ".join(f"{v:.{digits}f}" for v in values) + "]"
-
-    lines = [
-        f"# from {len(found.samples)} photos; body axes forward, right, down",
-        "[mount]",
-        f"lever_arm_camera_m = {three(mount.lever_arm_body_camera, 5)}",
-    ]
-    if np.any(mount.lever_arm_body_antenna):
-        lines.append(f"lever_arm_antenna_m = {three(mount.lever_arm_body_antenna, 5)}")
-    lines += [
-        f"sigma_lever_arm_m = {max(mount.sigma_lever_arm, 1e-5):.5f}",
-        f"boresight_deg = {three(np.degrees(mount.boresight_body), 5)}",
-        f"sigma_boresight_deg = {max(math.degrees(mount.sigma_boresight), 1e-5):.5f}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _account(found: MountEstimate, doubts: list[str]) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    def number(value: Any) -> Any:
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    rows = [{key: number(v) for key, v in asdict(row).items()} for row in found.to_table()]
-    return {
-        "kind": "mount calibration",
-        "axes": "body: forward, right, down; table: right, forward, up",
-        "lever_arm_body_camera_m": found.lever_arm_body_camera.tolist(),
-        "R_body_from_cam": found.R_body_from_cam.tolist(),
-        "order": "lever arm (m), left rotation error in body axes (rad)",
-        "covariance": found.covariance.tolist(),
-        "covariance_if_independent": found.covariance_independent.tolist(),
-        "sigma0": number(found.sigma0),
-        "table": rows,
-        "residuals": {
-            sample.photo_id: residual.tolist()
-            for sample, residual in zip(found.samples, found.residuals, strict=True)
-        },
-        "left_out": dict(found.left_out),
-        "doubts": doubts,
-    }

@@ -56,8 +56,8 @@ class Match(Algorithm[MatchParameters]):
 
     def run(self, context: Context, parameters: MatchParameters, feedback: Feedback) -> Result:
         """Match them."""
+        from georef_gis.orient.adjustment.keep import save_ties
         from georef_gis.orient.ties import TieSettings, find_ties
-        from georef_gis.project.columns_file import write_columns
         from processing_algorithms.site import load_site
 
         project = context.require_project()
@@ -84,11 +84,7 @@ class Match(Algorithm[MatchParameters]):
         folder = project.adjustment
         folder.mkdir(exist_ok=True)
         ties = found.ties
-        columns = {
-            "photo_ids": list(ties.photo_ids), "photo": ties.photo, "point": ties.point,
-            "uv": ties.uv, "sigma": ties.sigma,
-        }  # fmt: skip
-        write_columns(folder / TIES, "tie points", columns)
+        save_ties(folder / TIES, ties)
         content = json.dumps(_content(found), indent=1)
         part = folder / (MATCHES + ".part")
         part.write_text(content, encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,8 +51,7 @@ class Orthos(Algorithm[OrthosParameters]):
 
     def run(self, context: Context, parameters: OrthosParameters, feedback: Feedback) -> Result:
         """Make them, some at a time."""
-        from georef_gis.errors import ExportError, GeorefError
-        from georef_gis.rasters.warp import one_thread_each
+        from georef_gis.errors import GeorefError
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -66,43 +65,12 @@ class Orthos(Algorithm[OrthosParameters]):
         files = _files(folder, list(every))
         gsd = parameters.gsd or project.settings.products.gsd_m
         jobs = [key for key in footprints if key in site.photos]
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ExportError(
-                f"{folder}: the folder of the orthos cannot be made ({error.strerror}); is a file "
-                "in its place?"
-            ) from error
-        done: dict[str, Path] = {}
-        refused: list[str] = []
-        # At most a few in flight: a photo of 50 MP takes 150 MB.
-        halt = threading.Event()
-        with (
-            one_thread_each(),
-            ThreadPoolExecutor(max_workers=max(1, context.workers)) as pool,
-            _set_on_error(halt),
-        ):
-            running: dict[Future[Path], str] = {}
-            waiting = iter(jobs)
-            while True:
-                for key in waiting:
-                    job = pool.submit(_ortho, project, site, footprints[key], files[key], gsd, halt)
-                    running[job] = key
-                    if len(running) >= max(1, context.workers):
-                        break
-                if not running:
-                    break
-                for job in wait(running, return_when=FIRST_COMPLETED).done:
-                    key = running.pop(job)
-                    try:
-                        done[key] = job.result()
-                    except ExportError:
-                        # Not the photo's fault, but the disk's: the other orthos fare no better.
-                        raise
-                    except GeorefError as error:
-                        refused.append(f"{key}: {error}" if key not in str(error) else str(error))
-                feedback.progress(len(done) / len(jobs), f"{len(done)} of {len(jobs)} orthos")
-                check_cancelled(feedback)
+        _make(folder)
+
+        def ortho(key: str, halt: threading.Event) -> Path:
+            return _ortho(project, site, footprints[key], files[key], gsd, halt)
+
+        done, refused = _each(jobs, ortho, max(1, context.workers), feedback)
         for message in refused:
             feedback.warn(message)
         if not done:
@@ -115,6 +83,55 @@ class Orthos(Algorithm[OrthosParameters]):
             "doubts": refused,
         }
         return Result(outputs={"folder": folder}, summary=summary)
+
+
+def _make(folder: Path) -> None:
+    from georef_gis.errors import ExportError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ExportError(
+            f"{folder}: the folder of the orthos cannot be made ({error.strerror}); is a file "
+            "in its place?"
+        ) from error
+
+
+def _each(
+    jobs: Sequence[str],
+    ortho: Callable[[str, threading.Event], Path],
+    workers: int,
+    feedback: Feedback,
+) -> tuple[dict[str, Path], list[str]]:
+    """Files of the orthos that could be made, by photo, and why the others could not."""
+    from georef_gis.errors import ExportError, GeorefError
+    from georef_gis.rasters.warp import one_thread_each
+
+    done: dict[str, Path] = {}
+    refused: list[str] = []
+    halt = threading.Event()
+    with one_thread_each(), ThreadPoolExecutor(max_workers=workers) as pool, _set_on_error(halt):
+        running: dict[Future[Path], str] = {}
+        waiting = iter(jobs)
+        while True:
+            # At most a few in flight: a photo of 50 MP takes 150 MB.
+            for key in waiting:
+                running[pool.submit(ortho, key, halt)] = key
+                if len(running) >= workers:
+                    break
+            if not running:
+                return done, refused
+            for job in wait(running, return_when=FIRST_COMPLETED).done:
+                key = running.pop(job)
+                try:
+                    done[key] = job.result()
+                except ExportError:
+                    # Not the photo's fault, but the disk's: the other orthos fare no better.
+                    raise
+                except GeorefError as error:
+                    refused.append(f"{key}: {error}" if key not in str(error) else str(error))
+            feedback.progress(len(done) / len(jobs), f"{len(done)} of {len(jobs)} orthos")
+            check_cancelled(feedback)
 
 
 @contextmanager
@@ -182,7 +199,7 @@ def _ortho(
     from georef_gis.rasters.reading import read_image
     from georef_gis.rasters.warp import reduction_for
     from georef_gis.rectify.grids import plan_grid
-    from georef_gis.rectify.orthos import write_ortho
+    from georef_gis.rectify.orthos import OrthoTarget, write_ortho
     from processing_algorithms.rasters import ground_of, profile_for
 
     photo = site.photos[footprint.photo_id]
@@ -197,10 +214,8 @@ def _ortho(
         dtype=str(image.dtype),
         title=f"{photo.id} ({site.pose_kinds[photo.id]})",
     )
-    write_ortho(
-        photo, image, footprint, ground_of(site, grid), profile, grid, target,
-        gsd=pixel, cancelled=halt.is_set,
-    )  # fmt: skip
+    goal = OrthoTarget(path=target, profile=profile, grid=grid, gsd=pixel)
+    write_ortho(photo, image, footprint, ground_of(site, grid), goal, cancelled=halt.is_set)
     return target
 
 

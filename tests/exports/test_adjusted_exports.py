@@ -451,11 +451,10 @@ def test_control_points_are_read_back_from_the_database(case) -> None:
 def test_the_files_are_read_as_the_adjustment_writes_them() -> None:
     from exports import adjustment
     from georef_gis.measure.accuracy_statement import FORMAT, STANDARD
-    from georef_gis.orient.adjustment import build, keep
+    from georef_gis.orient.adjustment import keep
     from processing_algorithms.measure.accuracy_table import JSON
 
     assert (adjustment.POINTS, adjustment.RESIDUALS) == (keep.POINTS, keep.RESIDUALS)
-    assert adjustment.PINHOLE == build.VIRTUAL_FOCAL
     assert (accuracy_items.STATEMENT, accuracy_items.FORMAT) == (JSON, FORMAT)
     assert statement()[1]["ACCURACY_STANDARD"] == STANDARD
 

@@ -8,7 +8,7 @@ import pytest
 
 from georef_gis.errors import GeometryError
 from georef_gis.model.terrain import dem_terrain
-from georef_gis.model.tin import EnuPlane, TinTerrain, tin_terrain
+from georef_gis.model.tin import EnuPlane, SquareCells, TinTerrain, tin_terrain
 
 FRAME = EnuPlane(origin=cases.SITE, level=280.0)
 # m; the Earth bends by this over the 100 m that a plane of enu is compared over
@@ -22,9 +22,9 @@ def surface(heights, *, half: float = 100.0, cell: float = 1.0, sigmas=None, **g
     x, y = np.meshgrid(k, -k)
     known = {"kind": "tin", "sigma": 0.1, "sigma_shared": 0.0, **given}
     return tin_terrain(
-        FRAME, np.broadcast_to(heights(x, y), x.shape),
-        np.full((4, 4), 0.1) if sigmas is None else sigmas,
-        left=-half, top=half, cell=cell, **known,
+        FRAME, SquareCells(left=-half, top=half, cell=cell),
+        np.broadcast_to(heights(x, y), x.shape),
+        np.full((4, 4), 0.1) if sigmas is None else sigmas, **known,
     )  # fmt: skip
 
 
@@ -173,8 +173,8 @@ def test_long_rays_take_few_looks() -> None:
     base = surface(lambda x, y: 280.0 + 0.5 * np.sin(x / 10.0))
     frame = Counting(origin=cases.SITE, level=280.0)
     ground = tin_terrain(
-        frame, base.heights, base.sigmas, left=-100.0, top=100.0, cell=1.0, kind="tin",
-        sigma=0.1, sigma_shared=0.0,
+        frame, SquareCells(left=-100.0, top=100.0, cell=1.0), base.heights, base.sigmas,
+        kind="tin", sigma=0.1, sigma_shared=0.0,
     )  # fmt: skip
     p = ground.intersect([0.0, 0.0, 60.0], [1.0, 0.0, -0.06])
     assert projs_height(p) == pytest.approx(ground.height_on_map(

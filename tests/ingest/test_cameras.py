@@ -6,11 +6,15 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from georef_gis.errors import InputError
 from georef_gis.ingest.cameras import CameraOverride, camera_for, camera_id_of
 from georef_gis.ingest.lens_profiles import fit_radial
 from georef_gis.ingest.tags import Tags
+from georef_gis.orient.adjustment.block import CAMERA_NAMES
+from georef_gis.orient.adjustment.priors import camera_prior
+from georef_gis.project.settings import Settings
 
 SONY: Tags = {
     "File:FileType": "JPEG",
@@ -86,6 +90,26 @@ def test_the_user_comes_first() -> None:
     assert (camera.fx, camera.fy, camera.k1, camera.k2) == (3600.0, 3600.0, -0.01, 0.0)
     assert camera.sigma_f == pytest.approx(7.2)
     assert camera.source == "project.toml"
+
+
+def test_the_sigma_of_the_principal_point_reaches_the_adjustment() -> None:
+    """Stated, it is the prior of both coordinates; else a share of the width stands in."""
+    own = CameraOverride(focal_px=3600.0, cx=2740.0, cy=1820.0, sigma_principal_point_px=1.5)
+    camera = camera_for(P4R, FULL, override=own).camera
+    assert camera.sigma_c == 1.5
+    assert (camera.cx, camera.cy) == (2740.0, 1820.0)
+    at = [CAMERA_NAMES.index(name) for name in ("cx", "cy")]
+    assert camera_prior(camera).sigma[at].tolist() == [1.5, 1.5]
+    untold = camera_for(P4R, FULL, override=CameraOverride(focal_px=3600.0)).camera
+    assert camera_prior(untold).sigma[at].min() > 20.0
+
+
+def test_project_toml_states_the_sigma_of_the_principal_point() -> None:
+    section = Settings.model_validate({"camera": {"sigma_principal_point_px": 1.5}}).camera
+    own = CameraOverride(**section.model_dump(exclude_none=True))
+    assert camera_for(P4R, FULL, override=own).camera.sigma_c == 1.5
+    with pytest.raises(ValidationError):
+        Settings.model_validate({"camera": {"sigma_principal_point_px": 0.0}})
 
 
 def test_focal_and_sensor_width_of_the_user() -> None:

@@ -148,6 +148,17 @@ def test_metadata_is_short_lines_with_the_bias_in_them() -> None:
     assert all(len(key) <= 40 for key in told)
 
 
+def test_distances_within_the_site_are_one_line_where_an_adjustment_tells() -> None:
+    told = report(5, distances=((10.0, 0.012), (50.0, 0.034)))
+    (line,) = [line for line in statement_text(told).splitlines() if line.startswith("Distances")]
+    assert line == (
+        "Distances within the site: one sigma 1.2 cm at 10 m, 3.4 cm at 50 m (by the adjustment, "
+        "not tested)."
+    )
+    assert statement_json(told)["distances"][1] == {"length_m": 50.0, "sigma_m": 0.034}
+    assert "Distances" not in statement_text(report(5))
+
+
 def test_points_that_could_not_be_read_are_named() -> None:
     text = statement_text(report(3, untested={"Z9": "in the mosaic its neighbourhood is bland"}))
     assert "Z9 (in the mosaic its neighbourhood is bland)" in text

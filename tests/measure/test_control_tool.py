@@ -80,3 +80,6 @@ def test_summary_of_the_comparison_reads_well() -> None:
     }  # fmt: skip
     (line,) = _control_lines(json.loads(json.dumps(summary)))
     assert line.startswith("points 3 marks lie off by 1.23 m east, 50.00 cm north (rms)")
+    assert "wrong" not in line
+    (line,) = _control_lines({**summary, "wrong_marks": 2})
+    assert line.endswith("; 2 more are called wrong and do not count")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import pytest
 from report_cases import Page, adjusted_facts, project_facts
@@ -111,9 +112,17 @@ def test_what_is_not_there_is_said_plainly() -> None:
 
 
 @pytest.mark.parametrize("photos", [1, 2])
-def test_one_and_two_photos_give_a_page(photos: int) -> None:
-    Page(page_of(project_facts(photos)))
-    Page(page_of(adjusted_facts(photos)))
+@pytest.mark.parametrize("facts_of", [project_facts, adjusted_facts])
+def test_one_and_two_photos_give_a_page(facts_of: Callable[[int], Facts], photos: int) -> None:
+    text = page_of(facts_of(photos))
+    assert text.startswith("<!DOCTYPE html>")
+    assert text.endswith("</html>\n")
+    # Page itself fails on tags that do not match
+    page = Page(text)
+    assert {"html", "head", "body", "main", "section"} <= page.tags
+    assert page.headings[0] == 1
+    assert len(page.images) > 0
+    assert f"{photos}, {photos} with a place on the ground" in text
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from mosaic_cases import ORIGIN, frame, photo_at
 from georef_gis.model.mesh import Ground
 from georef_gis.model.plan import plan_tiles
 from georef_gis.model.terrain import Terrain, dem_terrain
-from georef_gis.model.tin import EnuPlane, tin_terrain
+from georef_gis.model.tin import EnuPlane, SquareCells, tin_terrain
 from georef_gis.mosaic.nadir import NadirMosaic, mosaic_source
 from georef_gis.rectify.footprints import footprint
 from georef_gis.rectify.grids import plan_grid
@@ -26,8 +26,8 @@ def tin(lift: float = 0.0) -> Terrain:
     k = (np.arange(600) + 0.5) * 0.5 - 150.0
     x, y = np.meshgrid(k, -k)
     return tin_terrain(
-        EnuPlane(origin=ORIGIN, level=200.0), heights(x, y) + lift, np.full((2, 2), 0.1),
-        left=-150.0, top=150.0, cell=0.5, kind="tin", sigma=0.1, sigma_shared=0.0,
+        EnuPlane(origin=ORIGIN, level=200.0), SquareCells(left=-150.0, top=150.0, cell=0.5),
+        heights(x, y) + lift, np.full((2, 2), 0.1), kind="tin", sigma=0.1, sigma_shared=0.0,
     )  # fmt: skip
 
 

@@ -19,11 +19,8 @@ from georef_gis.model.camera import Camera
 from georef_gis.orient.calibration.account import json_account, toml_snippet
 from georef_gis.orient.calibration.board import Board, BoardPhoto, calibrate_board, find_corners
 from georef_gis.orient.calibration.bundle import BROWN, Targets, View
-from georef_gis.orient.calibration.field import (
-    Calibration,
-    CalibrationSettings,
-    calibrate_field,
-)
+from georef_gis.orient.calibration.field import CalibrationSettings, calibrate_field
+from georef_gis.orient.calibration.judgement import Calibration
 
 TRUE = Camera(
     id="c", width=1200, height=900, fx=1010.0, fy=1006.0, cx=611.0, cy=439.0,
@@ -331,6 +328,7 @@ def test_the_snippet_pasted_into_project_toml_is_the_camera() -> None:
     rays = TRUE.ray(TRUE.border_uv() * 0.98)
     assert np.abs(again.project(rays) - found.camera.project(rays)).max() < 1e-3  # px
     assert again.sigma_f == pytest.approx(found.camera.sigma_f, rel=1e-3)
+    assert again.sigma_c == pytest.approx(found.camera.sigma_c, rel=1e-3)
 
 
 def test_the_json_holds_covariance_and_doubts() -> None:

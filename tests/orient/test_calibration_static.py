@@ -11,7 +11,8 @@ from georef_gis.frames import Array, exp_so3, log_so3
 from georef_gis.model.camera import Camera
 from georef_gis.model.pose import Pose
 from georef_gis.orient.calibration.static import StaticSettings, calibrate_static
-from georef_gis.orient.resection import ControlMarks, resect
+from georef_gis.orient.resection import resect
+from georef_gis.orient.resection_marks import ControlMarks
 from georef_gis.orient.two_step import MountEstimate, NavigationPose, two_step
 
 CAMERA = Camera(id="c", width=4000, height=3000, fx=3000.0, fy=3000.0, cx=2010.0, cy=1492.0)

@@ -9,7 +9,9 @@ from georef_gis.errors import GeometryError
 from georef_gis.frames import Array, exp_so3, log_so3
 from georef_gis.model.camera import Camera
 from georef_gis.model.pose import Pose
-from georef_gis.orient.resection import ControlMarks, pose_jacobian, projection_jacobian, resect
+from georef_gis.orient.pixel_derivatives import pose_jacobian, projection_jacobian
+from georef_gis.orient.resection import resect
+from georef_gis.orient.resection_marks import ControlMarks
 
 CAMERA = Camera(
     id="c", width=4000, height=3000, fx=2900.0, fy=2895.0, cx=2012.0, cy=1490.0,

@@ -10,13 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from georef_gis.errors import GeometryError
-from georef_gis.orient.similarity import (
-    SIGMA_LEVEL_SHARED,
-    Level,
-    estimate_similarity,
-    mean_level,
-    umeyama,
-)
+from georef_gis.orient.level import SIGMA_LEVEL_SHARED, Level, mean_level
+from georef_gis.orient.similarity import estimate_similarity
+from georef_gis.orient.similarity_search import umeyama
 
 
 def flight(n: int = 40, *, lines: int = 4, length: float = 400.0, step: float = 60.0) -> np.ndarray:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from georef_gis.errors import InputError
 from georef_gis.project import columns_file
-from georef_gis.project.columns_file import kind_of, read_columns, write_columns
+from georef_gis.project.columns_file import columns_of, kind_of, read_columns, write_columns
 
 COLUMNS = {
     "matrix": np.arange(12.0).reshape(3, 4),
@@ -62,3 +64,18 @@ def test_what_is_not_ours_is_refused_in_one_line(
     monkeypatch.setattr(columns_file, "FORMAT", 2)
     with pytest.raises(InputError, match="another version"):
         read_columns(path, "points")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"), [(lambda read: read["absent"], "absent"), (lambda read: float("ten"), "ten")]
+)
+def test_column_that_does_not_fit_is_the_files_fault(
+    tmp_path: Path, spoil: Callable[[dict[str, Any]], Any], why: str
+) -> None:
+    path = tmp_path / "points.npz"
+    write_columns(path, "points", COLUMNS)
+    words = rf"holds no points \(.*{why}.*\); match anew"
+    with pytest.raises(InputError, match=words) as told:
+        with columns_of(path, "points", cure="match anew") as read:
+            spoil(read)
+    assert told.value.source == str(path)

@@ -26,7 +26,7 @@ from georef_gis.rasters.profile import RasterProfile
 from georef_gis.rasters.reading import read_image
 from georef_gis.rectify.footprints import footprint
 from georef_gis.rectify.grids import plan_grid
-from georef_gis.rectify.orthos import write_ortho
+from georef_gis.rectify.orthos import OrthoTarget, write_ortho
 from georef_gis.simulate import FlightSettings, SimulatedFlight, project_truth, simulate_flight
 from georef_gis.simulate import ellipsoid as own_ellipsoid
 
@@ -67,7 +67,8 @@ def ortho_uv(
         band_descriptions=("u", "v"),
     )  # fmt: skip
     image = code_image(photo.camera).astype(np.uint16)
-    write_ortho(photo, image, one, ground, profile, grid, path, gsd=gsd)
+    target = OrthoTarget(path=path, profile=profile, grid=grid, gsd=gsd)
+    write_ortho(photo, image, one, ground, target)
     with rasterio.open(path) as dataset:
         uv = np.moveaxis(dataset.read(), 0, -1) / CODE
         mask = dataset.dataset_mask() > 0
@@ -206,12 +207,12 @@ def test_true_poses_put_the_painted_targets_in_their_place(name: str, tmp_path: 
         epsg=6601, bands=3, dtype="uint8", compression="deflate",
         band_descriptions=("red", "green", "blue"),
     )  # fmt: skip
-    target = tmp_path / "o.tif"
-    write_ortho(photo, read_image(path), one, ground, profile, grid, target, gsd=one.gsd)
-    off = targets_off(target, truth, f"{name}.JPG")
+    target = OrthoTarget(path=tmp_path / "o.tif", profile=profile, grid=grid, gsd=one.gsd)
+    write_ortho(photo, read_image(path), one, ground, target)
+    off = targets_off(target.path, truth, f"{name}.JPG")
     assert len(off) >= 2
     assert np.hypot(*off.T).max() < 0.5  # px of the ortho
-    assert cog_validate(target)[0]
+    assert cog_validate(target.path)[0]
 
 
 def targets_off(ortho: Path, truth: Path, photo: str) -> Array:

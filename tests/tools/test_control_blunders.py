@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from tool_cases import SAMPLE, Site, copy_site, georef
 
 from georef_gis.project import Project
 from georef_gis.toolbox import CollectingFeedback, Context
-from processing_algorithms.measure.control import load_control
+from processing_algorithms.measure.control import examine_control
 from processing_algorithms.measure.where_to_click import WhereToClick, WhereToClickParameters
+from processing_algorithms.orient.control_input import project_control
 from processing_algorithms.site import load_site
 
 STEPS = "read_photos,orient_direct,footprints,control"
@@ -94,7 +97,9 @@ def test_an_exchanged_mark_is_told_and_not_given_to_the_adjustment(site: Site) -
     assert len(found) == 1
     assert f"{a} and {b}" in found[0] or f"{b} and {a}" in found[0]
     project = Project.open(site.folder, read_only=True)
-    o = load_control(project, load_site(project))
+    loaded = examine_control(project, load_site(project))
+    assert loaded is not None
+    o = loaded.usable
     assert o is not None
     used = {(o.names[j], k) for j, k in zip(o.point, o.photo_ids, strict=True)}
     assert not any(name in (a, b) and "IMG_0004" in photo for name, photo in used)
@@ -130,3 +135,77 @@ def test_where_to_click_lists_the_best_photo_first_and_near_the_marks(site: Site
     WhereToClick().run(Context(project=project), one, feedback)
     with Path(result.outputs["pixels"]).open() as stream:
         assert [row["name"] for row in csv.DictReader(stream)] == ["P02"]
+
+
+def summary(site: Site) -> dict[str, Any]:
+    done = georef("run", site.folder, "--only", "control", "--force")
+    assert done.code == 0, done.text
+    with Project.open(site.folder, read_only=True).database as database:
+        return dict(database.rows("run", {"tool": "georef:control"})[-1]["summary"])
+
+
+def test_a_check_mark_called_wrong_does_not_count_in_the_rms(site: Site) -> None:
+    before = summary(site)
+    marks = site.folder / "control/marks.csv"
+    lines = marks.read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if ",IMG_0004.JPG," in line)
+    name, photo, u, *rest = lines[at].split(",")
+    # 300 px are some 13 m on the ground: among good marks it would show in the rms
+    lines[at] = ",".join([name, photo, f"{float(u) + 300.0:.2f}", *rest])
+    marks.write_text("\n".join(lines))
+    site.set("control", check=[name])
+    after = summary(site)
+    assert (before["wrong_marks"], after["wrong_marks"]) == (0, 1)
+    assert after["compared"] == before["compared"] - 1
+    # m; one of some twenty good marks less
+    assert after["rms_east_m"] == pytest.approx(before["rms_east_m"], abs=0.3)
+    assert after["rms_north_m"] == pytest.approx(before["rms_north_m"], abs=0.3)
+
+
+def test_what_was_to_be_expected_is_told_by_axis_east_before_north(site: Site) -> None:
+    found = summary(site)
+    keys = [key for key in found if key.endswith(("east_m", "north_m"))]
+    assert keys == [
+        "rms_east_m", "rms_north_m", "expected_sigma_east_m", "expected_sigma_north_m"
+    ]  # fmt: skip
+    both = [found["expected_sigma_east_m"], found["expected_sigma_north_m"]]
+    # rounded to mm
+    assert found["expected_sigma_m"] == pytest.approx(np.sqrt(np.mean(np.square(both))), abs=0.002)
+
+
+def adjusted_without(site: Site) -> list[str]:
+    """Lines about control that an adjustment which cannot use it gives."""
+    feedback = CollectingFeedback()
+    project = Project.open(site.folder, read_only=True)
+    assert project_control(project, load_site(project), feedback) is None
+    return feedback.warnings
+
+
+def test_an_adjustment_says_once_that_a_refused_file_is_left_out_and_why(site: Site) -> None:
+    edit(site.folder / "control/control.csv", "# crs: EPSG:6601\n", "# crs: EPSG:77\n")
+    (line,) = adjusted_without(site)
+    assert "control.csv" in line
+    assert "is not a CRS that PROJ knows" in line
+    assert "no control is used" in line
+    # the words of the tool `control`, so that a run tells them once
+    assert any(line in doubt for doubt in doubts(site))
+
+
+def test_an_adjustment_says_that_control_of_another_place_is_left_out(site: Site) -> None:
+    swap_columns(site.folder / "control/control.csv")
+    (line,) = adjusted_without(site)
+    assert "adjusted without control" in line
+    assert "exchange the two columns" in line
+
+
+def test_an_adjustment_says_that_control_has_no_marks(site: Site) -> None:
+    site.set("control", marks=None)
+    (line,) = adjusted_without(site)
+    assert "control.csv: adjusted without control: no point has a mark in a photo" in line
+
+
+def test_an_adjustment_says_nothing_of_good_control(site: Site) -> None:
+    feedback = CollectingFeedback()
+    project = Project.open(site.folder, read_only=True)
+    assert project_control(project, load_site(project), feedback) is not None
+    assert feedback.warnings == []

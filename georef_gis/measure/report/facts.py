@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from georef_gis.geodesy import MapFrame, metres_per_unit
 from georef_gis.model.camera import Camera
 from georef_gis.model.layers import Footprint
 from georef_gis.model.pose import Pose
-from georef_gis.project import Project
+from georef_gis.project import Database, Project
 from georef_gis.project.columns_file import read_columns
 from georef_gis.project.records import camera_of, footprint_of, load_frame, pose_of
 from georef_gis.rasters.preview import Preview, read_preview
@@ -177,14 +177,10 @@ def read_facts(project: Project, *, quick: bool = False) -> Facts:
     footprints = {row["photo_id"]: footprint_of(row) for row in rows}
     rings = np.vstack([f.ring_map for f in footprints.values()])
     runs = sorted(database.last_rows("run", "tool"), key=lambda row: row["fid"])
-    poses = {kind: database.rows("pose", {"kind": kind}) for kind in _kinds(quick)}
-    missing: list[str] = []
-    adjusted = {row["photo_id"]: pose_of(row) for row in poses.get("adjusted", ())}
-    direct_rows = {
-        row["photo_id"]: row for kind in _kinds(quick)[:2] for row in poses.get(kind, ())
-    }
+    poses = _pose_rows(database, quick)
+    doubtful = _doubtful(rows, poses.adjusted.values())
     camera_rows = database.rows("camera")
-    best = {**direct_rows, **{row["photo_id"]: row for row in poses.get("adjusted", ())}}
+    missing: list[str] = []
     return Facts(
         title=project.settings.project.name or project.folder.name,
         frame=frame,
@@ -197,38 +193,53 @@ def read_facts(project: Project, *, quick: bool = False) -> Facts:
         marks=database.rows("mark"),
         footprints=footprints,
         footprint_rows=rows,
-        direct={key: pose_of(row) for key, row in direct_rows.items()},
-        adjusted=adjusted,
-        turned={
-            "direct": _turned(direct_rows.values()),
-            "adjusted": _turned(poses.get("adjusted", ())),
-        },
-        doubtful=_doubtful(rows, poses.get("adjusted", ())),
-        settled=[
-            row["photo_id"] for row in rows
-            if row["doubts"] and row["photo_id"] in adjusted
-            and row["photo_id"] not in _doubtful(rows, poses.get("adjusted", ()))
-        ],
-        height_kinds=tuple(
-            sorted({(row["extra"] or {}).get("height_kind") or "unknown" for row in best.values()})
-        ),
+        direct={key: pose_of(row) for key, row in poses.direct.items()},
+        adjusted={key: pose_of(row) for key, row in poses.adjusted.items()},
+        turned={"direct": _turned(poses.direct), "adjusted": _turned(poses.adjusted)},
+        doubtful=doubtful,
+        settled=[row["photo_id"] for row in rows if row["doubts"]
+                 and row["photo_id"] in poses.adjusted and row["photo_id"] not in doubtful],
+        height_kinds=poses.height_kinds(),
         cameras={row["camera_id"]: camera_of(row) for row in camera_rows},
         camera_rows=camera_rows,
         runs=runs,
-        ground=(database.meta("ground_adjusted") if adjusted else None)
-        or database.meta("ground")
-        or {},
+        ground=_ground(database, adjusted=bool(poses.adjusted)),
         mosaic=_mosaic(project, runs, missing),
         overlap=_raster(project.products / "overlap.tif", missing, average=False),
         matches=None if quick else _json(project.adjustment / "matches.json", missing),
-        adjustment=_adjustment(project, missing) if adjusted else None,
+        adjustment=_adjustment(project, missing) if poses.adjusted else None,
         accuracy=_accuracy(project, runs, missing),
         missing=tuple(missing),
     )  # fmt: skip
 
 
-def _kinds(quick: bool) -> tuple[str, ...]:
-    return ("tags",) if quick else ("tags", "navigation", "adjusted")
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PoseRows:
+    """Rows of poses by photo: of the direct ones the best, and the adjusted."""
+
+    direct: Mapping[str, Row]
+    adjusted: Mapping[str, Row]
+
+    def height_kinds(self) -> tuple[str, ...]:
+        """What is said of the heights of the poses that are used."""
+        used = {**self.direct, **self.adjusted}.values()
+        return tuple(sorted({(row["extra"] or {}).get("height_kind") or "unknown" for row in used}))
+
+
+def _pose_rows(database: Database, quick: bool) -> _PoseRows:
+    kinds = ("tags",) if quick else ("tags", "navigation")
+    adjusted = () if quick else database.rows("pose", {"kind": "adjusted"})
+    return _PoseRows(
+        direct={
+            row["photo_id"]: row for kind in kinds for row in database.rows("pose", {"kind": kind})
+        },
+        adjusted={row["photo_id"]: row for row in adjusted},
+    )
+
+
+def _ground(database: Database, *, adjusted: bool) -> Mapping[str, Any]:
+    found = database.meta("ground_adjusted") if adjusted else None
+    return found or database.meta("ground") or {}
 
 
 def _valid_footprints(project: Project) -> list[dict[str, Any]]:
@@ -240,15 +251,15 @@ def _valid_footprints(project: Project) -> list[dict[str, Any]]:
     return rows
 
 
-def _doubtful(footprints: Sequence[Row], adjusted: Sequence[Row]) -> dict[str, list[str]]:
+def _doubtful(footprints: Sequence[Row], adjusted: Iterable[Row]) -> dict[str, list[str]]:
     """Doubts by photo; of an adjusted one those of its pose, as the pixels settle the tags'."""
     found = {row["photo_id"]: list(row["doubts"] or ()) for row in footprints}
     found |= {row["photo_id"]: list(row["doubts"] or ()) for row in adjusted}
     return {key: doubts for key, doubts in found.items() if doubts}
 
 
-def _turned(rows: Any) -> dict[str, int]:
-    return {row["photo_id"]: int((row["extra"] or {}).get("turned_deg", 0)) for row in rows}
+def _turned(rows: Mapping[str, Row]) -> dict[str, int]:
+    return {key: int((row["extra"] or {}).get("turned_deg", 0)) for key, row in rows.items()}
 
 
 def _mosaic(project: Project, runs: Sequence[Row], missing: list[str]) -> Preview | None:

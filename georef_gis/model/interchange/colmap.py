@@ -21,6 +21,7 @@ from georef_gis.model.interchange.block import (
     refuse_model,
     without_skew,
 )
+from georef_gis.model.interchange.opencv_lens import DISTORTION, camera_of, distortion_of
 from georef_gis.model.pixels import corner_from_uv, uv_from_corner
 from georef_gis.model.tie_points import Indices, TiePoints
 
@@ -43,7 +44,6 @@ _ORDER: dict[str, tuple[str, ...]] = {
     "brown": ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"),
     "fisheye": ("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"),
 }
-_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 # -- cameras ----------------------------------------------------------------------------------
@@ -64,13 +64,13 @@ def camera_to_colmap(camera: Camera) -> tuple[str, tuple[float, ...]]:
     values = {
         "f": camera.fx, "fx": camera.fx, "fy": camera.fy, "cx": float(cx), "cy": float(cy),
         "k4_": 0.0, "k5_": 0.0, "k6_": 0.0,
-        **{name: getattr(camera, name) for name in _DISTORTION},
+        **distortion_of(camera),
     }  # fmt: skip
     if camera.model == "brown":
         values["k4"] = 0.0
     for model in _ORDER[camera.model]:
         names = _MODELS[model]
-        left = any(values[name] != 0.0 for name in _DISTORTION if name not in names)
+        left = any(values[name] != 0.0 for name in DISTORTION if name not in names)
         if not left and ("f" not in names or camera.fx == camera.fy):
             return model, tuple(values[name] for name in names)
     raise refuse_model(camera, PROGRAM, tuple(_ORDER))
@@ -98,7 +98,7 @@ def camera_from_colmap(
             source=where,
             field="PARAMS",
         )
-    values = dict.fromkeys((*_DISTORTION, "k4_", "k5_", "k6_"), 0.0)
+    values = dict.fromkeys((*DISTORTION, "k4_", "k5_", "k6_"), 0.0)
     values |= dict(zip(names, given, strict=True))
     if not all(np.isfinite(v) for v in values.values()):
         raise InputError("a parameter is not finite", source=where, field="PARAMS")
@@ -116,19 +116,13 @@ def camera_from_colmap(
             field="PARAMS",
         )
     cx, cy = uv_from_corner([values["cx"], values["cy"]])
-    return Camera(
-        id=camera_id,
-        width=size[0],
-        height=size[1],
-        fx=fx,
-        fy=fy,
-        cx=float(cx),
-        cy=float(cy),
+    return camera_of(
+        camera_id,
+        size,
+        {**values, "fx": fx, "fy": fy, "cx": float(cx), "cy": float(cy)},
         model="fisheye" if model.endswith("FISHEYE") else "brown",
-        k1=values["k1"], k2=values["k2"], k3=values["k3"], k4=values["k4"],
-        p1=values["p1"], p2=values["p2"],
         source=f"COLMAP {model}",
-    )  # fmt: skip
+    )
 
 
 # -- text out ---------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from georef_gis.model.interchange.block import (
     with_own_facts,
     without_skew,
 )
+from georef_gis.model.interchange.opencv_lens import DISTORTION, camera_of, distortion_of
 from georef_gis.model.pixels import opensfm_from_uv, uv_from_opensfm
 
 PROGRAM = "OpenSfM"
@@ -40,7 +41,7 @@ _PROJECTIONS: dict[str, tuple[str, ...]] = {
     "fisheye": ("focal", "k1", "k2"),
     "fisheye_opencv": ("focal_x", "focal_y", "c_x", "c_y", "k1", "k2", "k3", "k4"),
 }
-_DEFAULT_ZERO = frozenset({"c_x", "c_y", "k1", "k2", "k3", "k4", "p1", "p2"})
+_DEFAULT_ZERO = (*DISTORTION, "c_x", "c_y")
 
 
 # -- cameras ----------------------------------------------------------------------------------
@@ -62,7 +63,7 @@ def camera_to_opensfm(camera: Camera) -> dict[str, Any]:
     values = {
         "focal": camera.fx / size, "focal_x": camera.fx / size, "focal_y": camera.fy / size,
         "c_x": float(c_x), "c_y": float(c_y),
-        **{name: getattr(camera, name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")},
+        **distortion_of(camera),
     }  # fmt: skip
     plain = camera.fx == camera.fy and c_x == c_y == 0.0
     if camera.model == "fisheye":
@@ -94,7 +95,7 @@ def camera_from_opensfm(camera_id: str, given: Mapping[str, Any], source: str) -
             source=where,
             field="projection_type",
         )
-    values = dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2", "c_x", "c_y"), 0.0)
+    values = dict.fromkeys(_DEFAULT_ZERO, 0.0)
     for name in _PROJECTIONS[kind]:
         if name in _DEFAULT_ZERO:
             values[name] = _number(given.get(name, 0.0), where, name)
@@ -110,19 +111,13 @@ def camera_from_opensfm(camera_id: str, given: Mapping[str, Any], source: str) -
     if min(fx, fy) <= 0.0:
         raise InputError(f"{fx:g} px is no focal length", source=where, field="focal")
     cx, cy = uv_from_opensfm([values["c_x"], values["c_y"]], width=width, height=height)
-    return Camera(
-        id=camera_id,
-        width=width,
-        height=height,
-        fx=fx,
-        fy=fy,
-        cx=float(cx),
-        cy=float(cy),
+    return camera_of(
+        camera_id,
+        (width, height),
+        {**values, "fx": fx, "fy": fy, "cx": float(cx), "cy": float(cy)},
         model="fisheye" if kind.startswith("fisheye") else "brown",
-        k1=values["k1"], k2=values["k2"], k3=values["k3"], k4=values["k4"],
-        p1=values["p1"], p2=values["p2"],
         source=f"OpenSfM {kind}",
-    )  # fmt: skip
+    )
 
 
 def _number(value: Any, source: str, field: str) -> float:

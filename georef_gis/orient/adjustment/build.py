@@ -15,12 +15,8 @@ from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.pose import Pose
 from georef_gis.model.terrain import Terrain
 from georef_gis.model.tie_points import TiePoints
+from georef_gis.model.virtual_pinhole import virtual_pinhole, virtual_uv
 from georef_gis.orient.adjustment.block import Block, marked_points
-
-# px; the virtual camera in which photos of other models are adjusted has at most this error
-VIRTUAL_FOCAL = 1000.0
-# cosine of the angle off the axis from which on a pinhole stretches too much: 80 deg
-LEAST_AHEAD = 0.17
 
 
 def R_turned_from_sensor(degrees: int) -> Array:
@@ -70,9 +66,7 @@ class SensorViews:
         camera = self.cameras[self.camera_of[index]]
         if camera.model == own.model:
             return out
-        d = own.ray(out)
-        ahead = np.where(d[:, 2:] > LEAST_AHEAD, d[:, 2:], np.nan)
-        return np.asarray(VIRTUAL_FOCAL * d[:, :2] / ahead)
+        return virtual_uv(own.ray(out))
 
     def scale(self, index: int, uv: Array) -> Array:
         """Pixels of the adjustment per pixel of the photo about places in it; (m, 2) -> (m,)."""
@@ -126,10 +120,7 @@ def sensor_views(
         camera = cameras[name]
         if camera.model != "brown":
             held.append(name)
-            camera = Camera(
-                id=camera.id, width=camera.width, height=camera.height, fx=VIRTUAL_FOCAL,
-                fy=VIRTUAL_FOCAL, cx=0.0, cy=0.0,
-            )  # fmt: skip
+            camera = virtual_pinhole(camera)
         used.append(camera)
     return SensorViews(
         photos=tuple(views),

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from georef_gis.errors import InputError
 from georef_gis.model.tie_points import GroundPoints, TiePoints
-from georef_gis.orient.adjustment.adjust import Adjusted
-from georef_gis.project.columns_file import read_columns, write_columns
-from georef_gis.project.joint_covariance import KIND
+from georef_gis.project.columns_file import columns_of, write_columns
+from georef_gis.project.joint_covariance import save_joint_covariance
+
+if TYPE_CHECKING:
+    # who keeps or reads tie points alone need not load the solver's kernels
+    from georef_gis.orient.adjustment.adjust import Adjusted
 
 POINTS, RESIDUALS, COVARIANCE = "points.npz", "residuals.npz", "covariance.npz"
 POINTS_KIND, TIES_KIND = "ground points", "tie points"
@@ -39,8 +41,7 @@ def load_ties(path: Path) -> TiePoints:
     InputError
         If the file is missing, cut off or none of ours.
     """
-    read = read_columns(path, TIES_KIND)
-    try:
+    with columns_of(path, TIES_KIND, cure="run `georef match --force`") as read:
         return TiePoints(
             photo_ids=tuple(str(name) for name in read["photo_ids"]),
             photo=read["photo"].astype(np.int32),
@@ -48,10 +49,6 @@ def load_ties(path: Path) -> TiePoints:
             uv=read["uv"],
             sigma=read["sigma"],
         )
-    except (KeyError, ValueError) as error:
-        raise InputError(
-            f"holds no tie points ({error}); run `georef match --force`", source=str(path)
-        ) from error
 
 
 def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
@@ -79,13 +76,13 @@ def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
     if adjusted.covariances.size > MOST_KEPT:
         kept.unlink(missing_ok=True)
         return files
-    columns: dict[str, Any] = {
-        "photo_ids": list(adjusted.block.photo_ids),
-        "shared_names": adjusted.block.shared_names,
-        "covariance": adjusted.covariances.inverse(),
-        "with_level": int(adjusted.covariances.with_level),
-    }
-    write_columns(kept, KIND, columns)
+    save_joint_covariance(
+        kept,
+        photo_ids=adjusted.block.photo_ids,
+        shared_names=adjusted.block.shared_names,
+        covariance=adjusted.covariances.inverse(),
+        with_level=adjusted.covariances.with_level,
+    )
     return {**files, COVARIANCE: kept}
 
 
@@ -97,13 +94,10 @@ def load_points(path: Path) -> GroundPoints:
     InputError
         If the file is missing, cut off or none of ours.
     """
-    read = read_columns(path, POINTS_KIND)
-    try:
+    with columns_of(path, POINTS_KIND) as read:
         return GroundPoints(
             p_enu=read["p_enu"],
             covariance=read["covariance"].astype(np.float64),
             rays=read["rays"].astype(np.int32),
             residual_px=read["residual_px"].astype(np.float64),
         )
-    except (KeyError, ValueError) as error:
-        raise InputError(f"holds no ground points ({error})", source=str(path)) from error

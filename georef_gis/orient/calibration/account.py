@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from georef_gis.orient.calibration.field import Calibration
+from georef_gis.orient.calibration.judgement import Calibration
 
 
 def toml_snippet(c: Calibration, *, heading: str = "[camera]") -> str:
@@ -25,6 +25,7 @@ def toml_snippet(c: Calibration, *, heading: str = "[camera]") -> str:
         lines.append(f"{name} = {getattr(camera, name):{digits}}  # +- {c.sd[name]:{sd}}")
     percent = max(100.0 * camera.sigma_f / camera.fx, 1e-4)
     lines.append(f"sigma_focal_percent = {percent:.4g}")
+    lines.append(f"sigma_principal_point_px = {max(camera.sigma_c, 1e-3):.4g}")
     return "\n".join(lines) + "\n"
 
 

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 from georef_gis.errors import AdjustmentError, InputError
 from georef_gis.frames import Array
 from georef_gis.orient.calibration.bundle import Targets, View
-from georef_gis.orient.calibration.field import (
-    Calibration,
-    CalibrationSettings,
-    calibrate_field,
-)
+from georef_gis.orient.calibration.field import CalibrationSettings, calibrate_field
+from georef_gis.orient.calibration.judgement import Calibration
 
 # px; photos are looked through at this longer side, corners refined at full size
 SEARCH_SIZE = 1600

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from georef_gis.errors import AdjustmentError, InputError
 from georef_gis.frames import Array, exp_so3, skew
 from georef_gis.model.camera import Camera
-from georef_gis.orient.resection import projection_jacobian, solve_pnp
+from georef_gis.orient.pixel_derivatives import projection_jacobian
+from georef_gis.orient.resection_starts import solve_pnp
 
 BROWN = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2")
 FISHEYE = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")

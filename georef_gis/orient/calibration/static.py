@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from georef_gis.errors import AdjustmentError, InputError
-from georef_gis.frames import Array, exp_so3, log_so3, rotation_angle
+from georef_gis.frames import Array, exp_so3, rotation_angle
 from georef_gis.model.pose import Pose
 from georef_gis.orient.two_step import (
     MountEstimate,
@@ -96,22 +96,17 @@ def calibrate_static(
     gain = Q @ X.T @ inverse
     arm, R = first.lever_arm_body_camera, first.R_body_from_cam
     for _ in range(10):
-        y = np.concatenate([_difference(sample, arm, R) for sample in samples])
+        y = np.concatenate([sample.residual(arm, R) for sample in samples])
         step = gain @ y
         arm, R = arm + step[:3], exp_so3(step[3:]) @ R
         if np.linalg.norm(step) < 1e-13:
             break
-    residuals = np.array([_difference(sample, arm, R) for sample in samples])
+    residuals = np.array([sample.residual(arm, R) for sample in samples])
     arm, Q = _from_antenna(arm, np.asarray(Q), settings)
     common = np.diag(np.asarray(settings.sigma_common, float) ** 2)
     independent = first.covariance_independent
     out = estimate_of(samples, residuals, (arm, R), Q + common, independent, first.left_out)
     return _with_doubts(out, by_id, settings)
-
-
-def _difference(sample: MountSample, arm: Array, R: Array) -> Array:
-    turn = log_so3(sample.R_body_from_cam @ R.T)
-    return np.concatenate([sample.lever_arm_body - arm, turn])
 
 
 def _joint(
