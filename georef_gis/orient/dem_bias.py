@@ -11,14 +11,11 @@ import numpy as np
 from georef_gis.frames import Array
 from georef_gis.model.terrain import DemTerrain
 from georef_gis.model.tin import EnuPlane
+from georef_gis.orient.alike_errors import by_blocks, mean_over_blocks, scatter
 from georef_gis.orient.surface_points import Cloud
 
 # points on the DEM below which its bias is not estimated
 FEWEST = 5
-# blocks along each side in which neighbouring errors count as one, from fine to coarse
-BLOCKS = (32, 16, 8, 4, 2)
-# blocks below which their spread tells nothing
-FEWEST_BLOCKS = 4
 # blocks along each side, and how many must be met, for a tilt
 TILT_BLOCKS, FEWEST_FOR_TILT = 6, 12
 # standard deviations from which an offset, and a tilt, are taken for real
@@ -107,15 +104,15 @@ def estimate_bias(
     if np.count_nonzero(fits) < FEWEST:
         return None
     xy, r = p[fits, :2], r[fits]
-    keep = np.abs(r - np.median(r)) <= CUT * max(_scale(r - np.median(r)), 0.02)
+    keep = np.abs(r - np.median(r)) <= CUT * max(scatter(r - np.median(r)), 0.02)
     xy, r = xy[keep], r[keep]
     centre = np.median(xy, axis=0)
     slope = _tilt(xy - centre, r)
     if np.linalg.norm(slope) <= TILT_OF_BLOCK * np.tan(block_tilt):
         slope = np.zeros(2)
     level = r - (xy - centre) @ slope
-    offset, sigma_offset = _mean_over_blocks(xy, level)
-    spread = _scale(level - offset)
+    offset, sigma_offset = mean_over_blocks(xy, level)
+    spread = scatter(level - offset)
     used = bool(abs(offset) > OFFSET_COUNTS * sigma_offset or np.any(slope))
     # Ground that tie points show and a DEM does not, such as crops, is in the spread.
     sigma = float(np.hypot(spread, sigma_offset)) if used else max(dem.sigma, spread)
@@ -126,42 +123,9 @@ def estimate_bias(
     )  # fmt: skip
 
 
-def _scale(r: Array) -> float:
-    return float(1.4826 * np.median(np.abs(r)))
-
-
-def _blocks(xy: Array, r: Array, n: int) -> tuple[Array, Array, Array]:
-    """Mean place, median and number of points of n x n square blocks."""
-    low, extent = xy.min(axis=0), max(float(np.ptp(xy, axis=0).max()), 1e-6)
-    cell = np.minimum(((xy - low) / extent * n).astype(int), n - 1)
-    _, which = np.unique(cell[:, 0] * n + cell[:, 1], return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    parts = np.split(order, np.flatnonzero(np.diff(which[order])) + 1)
-    places = np.array([xy[i].mean(axis=0) for i in parts])
-    return places, np.array([np.median(r[i]) for i in parts]), np.array([len(i) for i in parts])
-
-
-def _mean_over_blocks(xy: Array, r: Array) -> tuple[float, float]:
-    """Robust mean of residuals, m, and one sigma of it, m, their likeness counted in."""
-    mean = float(np.median(r))
-    # a median's own sigma is pi / 2 larger in variance than a mean's
-    sigma = 1.2533 * _scale(r - mean) / np.sqrt(len(r))
-    for n in BLOCKS:
-        _, middle, number = _blocks(xy, r, n)
-        if len(middle) < FEWEST_BLOCKS:
-            break
-        weight = number / number.sum()
-        about = np.sum(weight * middle)
-        # few blocks: their spread is itself uncertain, by Student's t of the same coverage
-        few = np.sqrt((len(middle) - 1) / max(len(middle) - 3, 1))
-        together = np.sum(weight**2 * (middle - about) ** 2) * few**2
-        sigma = max(sigma, float(np.sqrt(together * len(middle) / (len(middle) - 1))))
-    return mean, max(sigma, 1e-3)
-
-
 def _tilt(xy: Array, r: Array) -> Array:
     """Slope of residuals, where blocks show one beyond doubt; else 0; shape (2,)."""
-    places, middle, _ = _blocks(xy, r, TILT_BLOCKS)
+    places, middle, _ = by_blocks(xy, r, TILT_BLOCKS)
     if len(middle) < FEWEST_FOR_TILT:
         return np.zeros(2)
     X = np.column_stack([np.ones(len(places)), places])

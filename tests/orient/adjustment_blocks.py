@@ -105,7 +105,7 @@ def true_shared(flight: SimFlight) -> Array:
     readout = flight.camera_true.readout_s - flight.camera.readout_s
     # the flight tells how far the navigation is off, the block how far the truth is
     mount = [t.lever - s.lever, t.boresight - s.boresight, s.bias - t.bias, [s.clock - t.clock]]
-    return np.concatenate([camera[:1], camera[2:], [readout], *mount, [0.0]])
+    return np.concatenate([camera[:1], camera[2:], [readout], *mount, [0.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,14 +14,17 @@ from georef_gis.model.camera import Camera
 from georef_gis.model.pose import Pose
 from georef_gis.model.tie_points import GroundPoints
 from georef_gis.orient.adjustment.block import FLIGHT_UNKNOWNS, Block
-from georef_gis.orient.adjustment.contradictions import ROUGH, Doubted, freed, weigh_down
+from georef_gis.orient.adjustment.contradictions import Doubted, freed, weigh_down
 from georef_gis.orient.adjustment.covariance import Covariances
+from georef_gis.orient.adjustment.ground_weight import weigh_ground
 from georef_gis.orient.adjustment.kernels import CAMERA_UNKNOWNS
 from georef_gis.orient.adjustment.problem import Problem
 from georef_gis.orient.adjustment.solve import FINAL_SCALE, Cancelled, Solution, solve
 from georef_gis.orient.adjustment.wrong_matches import freedom, sigma0, without_wrong
 
 ROUNDS = 8
+# gain in cost that ends the last search
+POLISHED = 1e-6
 # unknowns from which on the linear algebra may use threads
 THREADED = 4000
 # degrees of freedom from which on sigma0 may scale what the pixels claim
@@ -120,14 +123,16 @@ def adjust(
 
 def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Adjusted:
     block = problem.block
-    solution = solve(problem, problem.start, gain=ROUGH, cancelled=cancelled)
-    solution, doubted = freed(problem, solution, cancelled)
+    solution, doubted = freed(problem, cancelled)
     tell(0.4, "first solution")
     removed = np.zeros(len(block.photo_ids), dtype=np.int64)
     scatter = 1.0
     for number in range(ROUNDS):
         problem, solution, out = without_wrong(problem, solution)
         removed += out
+        if problem.block.ground is not None:
+            state, n = solution.state, problem.block.ties.n_points
+            problem.know_ground(weigh_ground(problem.block.ground, state.points[:n], state.level))
         found = weigh_down(problem, solution.state)
         doubted += found
         scatter = sigma0(problem, solution)
@@ -139,6 +144,11 @@ def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Ad
         tell(0.4 + 0.4 * (number + 1) / ROUNDS, "weighing observations")
         if settled:
             break
+    # weak directions, such as the tilt of a strip, are still a step off: two runs would differ
+    last = solve(
+        problem, solution.state, scale=FINAL_SCALE, steps=10, gain=POLISHED, cancelled=cancelled
+    )
+    solution = replace(last, converged=last.converged or solution.converged)
     return _answer(problem, solution, scatter, removed, doubted)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ FLIGHT_NAMES = (
 FLIGHT_UNKNOWNS = len(FLIGHT_NAMES)
 # photos from which on a block is kept as a band, and joint covariances are asked for by parts
 LARGE = 300
+# independent heights for which a ground counts that nobody measured
+INDEPENDENT = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,14 +154,33 @@ class GroundPrior:
     z_enu : shape (n,), m
         Expected up coordinate of each tie point; NaN where nothing is known.
     sigma : m
-        Of one height; relief included.
+        Of one height, or of each, shape (n,); relief included.
     independent
         As how many independent heights all of them together count: relief is alike over a site.
+    sigma_offset : m
+        One sigma of what all the heights lie off by together, an unknown of its own; 0 without.
+    surface
+        A measured surface, from east, north (n, 2) m to its up coordinate (n,) m, NaN outside.
+        Once points are found, their heights on it take the place of `z_enu` (`weigh_ground`).
+    sigma_surface : m
+        One sigma of the surface, over distances as long as the site.
+    sigma_free, sigma_other : m
+        One sigma of what the surface as a whole may lie off, and of points beside it or not on it.
     """
 
     z_enu: Array
-    sigma: float
-    independent: float = 10.0
+    sigma: float | Array
+    independent: float = INDEPENDENT
+    sigma_offset: float = 0.0
+    surface: Callable[[Array], Array] | None = None
+    sigma_surface: float = 0.0
+    sigma_free: float = 0.0
+    sigma_other: float = 0.0
+
+    def selected(self, keep: NDArray[np.bool_]) -> GroundPrior:
+        """That of some of the points; `keep` (n,)."""
+        sigma = self.sigma[keep] if isinstance(self.sigma, np.ndarray) else self.sigma
+        return replace(self, z_enu=self.z_enu[keep], sigma=sigma)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,7 +228,12 @@ class Block:
     @property
     def n_shared(self) -> int:
         """Number of unknowns that several photos share."""
-        return CAMERA_UNKNOWNS * len(self.cameras) + FLIGHT_UNKNOWNS * len(self.flights) + 1
+        return CAMERA_UNKNOWNS * len(self.cameras) + FLIGHT_UNKNOWNS * len(self.flights) + 2
+
+    @property
+    def sigma_shifts(self) -> tuple[float, float]:
+        """One sigma of the surface's offset and of the level, m; 0 where it is held."""
+        return (self.ground.sigma_offset if self.ground is not None else 0.0, self.sigma_level)
 
     def camera_at(self, index: int) -> int:
         """Where the unknowns of a camera begin among the shared ones."""
@@ -222,7 +248,7 @@ class Block:
         """Names of the shared unknowns, such as "flight1 boresight_x"."""
         names = [f"{p.camera.id} {name}" for p in self.cameras for name in CAMERA_NAMES]
         names += [f"{flight.id} {name}" for flight in self.flights for name in FLIGHT_NAMES]
-        return [*names, "level"]
+        return [*names, "surface_offset", "level"]
 
 
 def camera_vector(camera: Camera) -> Array:

@@ -258,7 +258,7 @@ def prior_sigmas(block: Block) -> Array:
     """One sigma of each shared unknown beforehand, 0 where it is held; shape (G,)."""
     parts = [p.sigma for p in block.cameras]
     parts += [np.sqrt(np.diag(flight.shared_covariance)) for flight in block.flights]
-    return np.concatenate([*parts, [block.sigma_level]])
+    return np.concatenate([*parts, block.sigma_shifts])
 
 
 def _unit(name: str) -> str:

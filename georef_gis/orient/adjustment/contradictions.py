@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.orient.adjustment.flight_model import DOUBTED
+from georef_gis.orient.adjustment.misplaced import misplaced, moved_start
 from georef_gis.orient.adjustment.problem import Problem, State
 from georef_gis.orient.adjustment.solve import FINAL_SCALE, Cancelled, Solution, solve
 from georef_gis.orient.adjustment.wrong_matches import WRONG
@@ -37,16 +38,18 @@ class Doubted:
     sigmas: float
 
 
-def freed(
-    problem: Problem, first: Solution, cancelled: Cancelled | None
-) -> tuple[Solution, list[Doubted]]:
+def freed(problem: Problem, cancelled: Cancelled | None) -> tuple[Solution, list[Doubted]]:
     """Solution where photos that all their matches contradict went where these put them.
 
     A receiver that is sure of a wrong place outweighs any pixel. Such photos are let loose; where
     their matches agree among themselves, the navigation is what is weighed down.
     """
-    loose = np.zeros(len(problem.block.photo_ids), dtype=np.bool_)
-    free = first
+    move = misplaced(problem)
+    loose = np.any(move != 0.0, axis=1)
+    if np.any(loose):
+        problem.start = moved_start(problem, move)
+        _loosen(problem, loose, 1.0)
+    first = free = solve(problem, problem.start, gain=ROUGH, cancelled=cancelled)
     for _ in range(ROUNDS):
         # the worst bend the block, and hide others that are wrong
         more = _held_wrongly(problem, free.state, loose)

@@ -121,7 +121,7 @@ class Covariances:
 
     def _arguments(self) -> tuple[object, ...]:
         problem, state = self._problem, self._state
-        settings = (self._scale2, 0.0, state.level, problem.block.n_shared - 1)
+        settings = (self._scale2, 0.0, state.shifts, problem.block.n_shared - 2)
         return (
             problem.observations(), problem.values(state), problem.place(state), problem.span,
             problem.block.camera_of, settings,

@@ -6,6 +6,7 @@ import numpy as np
 
 from georef_gis.orient.adjustment.kernels import (
     CAMERA_UNKNOWNS,
+    LEVEL,
     MAX_RAYS,
     compiled,
     gather,
@@ -76,14 +77,14 @@ def point_rows(j, obs, state, place, span, camera_of, settings, at_shared, rows,
 
     False where the point cannot be placed.
     """
-    scale2, damping, level, level_at = settings
+    scale2, damping, shifts, first_shift = settings
     rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
     Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
     Jcs = np.zeros((MAX_RAYS, 2, CAMERA_UNKNOWNS))
     buffers = (rs, Jxs, Jps, Jcs, who)
     V, b = np.zeros((3, 3)), np.zeros(3)
     n = gather(span[j], span[j + 1], obs, state, scale2, buffers)
-    point_normal(n, j, buffers, place, damping, level, V, b)
+    point_normal(n, j, buffers, place, damping, shifts, V, b)
     if not invert3(V, own):
         return False
     for a in range(n):
@@ -98,16 +99,17 @@ def point_rows(j, obs, state, place, span, camera_of, settings, at_shared, rows,
                     rows[p, 6 * i + s] -= lead * Jxs[a, q, s]
                 for s in range(CAMERA_UNKNOWNS):
                     rows[p, base + s] -= lead * Jcs[a, q, s]
-    if place[3][j]:
+    if place[3][j] >= 0:
+        at = at_shared + first_shift + place[3][j]
         for p in range(3):
-            rows[p, at_shared + level_at] -= own[p, 2] * place[2][j, 2]
+            rows[p, at] -= own[p, 2] * place[2][j, 2]
     return True
 
 
 @compiled
 def point_covariances(obs, state, place, span, camera_of, settings, inverse, with_level, out):  # type: ignore[no-untyped-def]
     """Covariance of every point, (k, 3, 3), from the inverse of the reduced normal matrix."""
-    scale2, damping, level, level_at = settings
+    scale2, damping, shifts, first_shift = settings
     rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
     Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
     Jcs = np.zeros((MAX_RAYS, 2, CAMERA_UNKNOWNS))
@@ -121,12 +123,12 @@ def point_covariances(obs, state, place, span, camera_of, settings, inverse, wit
     for j in range(len(span) - 1):
         widest = max(widest, min(span[j + 1] - span[j], MAX_RAYS))
     # every camera of the point brings its own unknowns
-    side = (6 + CAMERA_UNKNOWNS) * widest + 1
+    side = (6 + CAMERA_UNKNOWNS) * widest + 2
     M = np.zeros((side, side))
     K = CAMERA_UNKNOWNS
     for j in range(len(span) - 1):
         n = gather(span[j], span[j + 1], obs, state, scale2, buffers)
-        point_normal(n, j, buffers, place, damping, level, V, b)
+        point_normal(n, j, buffers, place, damping, shifts, V, b)
         if not invert3(V, Vi):
             for p in range(3):
                 for q in range(3):
@@ -163,11 +165,14 @@ def point_covariances(obs, state, place, span, camera_of, settings, inverse, wit
                         lead = Vi[p, 0] * Jps[a, q, 0] + Vi[p, 1] * Jps[a, q, 1]
                         lead += Vi[p, 2] * Jps[a, q, 2]
                         A[p, at + s] -= lead * Jcs[a, q, s]
-        if with_level:
-            index[size] = n_pose + level_at
+        for shift in range(2):
+            shared_by_all = with_level and shift == LEVEL
+            if not shared_by_all and place[3][j] != shift:
+                continue
+            index[size] = n_pose + first_shift + shift
             for p in range(3):
-                A[p, size] = 1.0 if p == 2 else 0.0
-                if place[3][j]:
+                A[p, size] = 1.0 if p == 2 and shared_by_all else 0.0
+                if place[3][j] == shift:
                     A[p, size] -= Vi[p, 2] * place[2][j, 2]
             size += 1
         _gather_inverse(inverse, index, size, n_pose, M)

@@ -20,6 +20,12 @@ import numpy as np
 CAMERA_UNKNOWNS = 11
 # longest track that is used
 MAX_RAYS = 512
+# shared heights, last of the unknowns: what the surface known beforehand lies above the points,
+# and what control adds to all heights
+SURFACE, LEVEL = 0, 1
+# of a point's normal matrix, the least share of a diagonal element that the others leave: rays
+# that are nearly parallel say nothing of depth but rounding
+SINGULAR = 1e-8
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -197,29 +203,56 @@ def gather(k0, k1, obs, state, scale2, buffers):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def invert3(V, out):  # type: ignore[no-untyped-def]
-    """Inverse of a symmetric 3 x 3; False where it is singular."""
-    a, b, c = V[0, 0], V[0, 1], V[0, 2]
-    d, e, f = V[1, 1], V[1, 2], V[2, 2]
-    m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * m00 + b * m01 + c * m02
-    if not det > 1e-12 * a * d * f or det <= 0.0:
+def half_inverse3(V, M):  # type: ignore[no-untyped-def]
+    """Inverse of the lower Cholesky factor of a 3 x 3; False where it is close to singular.
+
+    Cofactors would err by the square of the condition, which makes the whole matrix indefinite.
+    """
+    a = V[0, 0]
+    if not a > 0.0:
         return False
-    out[0, 0], out[0, 1], out[0, 2] = m00 / det, m01 / det, m02 / det
-    out[1, 0], out[1, 1], out[1, 2] = m01 / det, (a * f - c * c) / det, (b * c - a * e) / det
-    out[2, 0], out[2, 1], out[2, 2] = m02 / det, out[1, 2], (a * d - b * b) / det
+    l00 = np.sqrt(a)
+    l10, l20 = V[1, 0] / l00, V[2, 0] / l00
+    d = V[1, 1] - l10 * l10
+    if not d > SINGULAR * V[1, 1]:
+        return False
+    l11 = np.sqrt(d)
+    l21 = (V[2, 1] - l20 * l10) / l11
+    f = V[2, 2] - l20 * l20 - l21 * l21
+    if not f > SINGULAR * V[2, 2]:
+        return False
+    l22 = np.sqrt(f)
+    M[0, 0], M[0, 1], M[0, 2] = 1.0 / l00, 0.0, 0.0
+    M[1, 0], M[1, 1], M[1, 2] = -l10 / (l00 * l11), 1.0 / l11, 0.0
+    M[2, 0] = (l10 * l21 / l11 - l20) / (l00 * l22)
+    M[2, 1], M[2, 2] = -l21 / (l11 * l22), 1.0 / l22
     return True
 
 
 @compiled
-def point_normal(n, j, buffers, place, damping, level, V, b):  # type: ignore[no-untyped-def]
+def invert3(V, out):  # type: ignore[no-untyped-def]
+    """Inverse of a symmetric 3 x 3; False where it is close to singular."""
+    M = np.zeros((3, 3))
+    if not half_inverse3(V, M):
+        return False
+    for p in range(3):
+        for q in range(3):
+            total = 0.0
+            for k in range(3):
+                total += M[k, p] * M[k, q]
+            out[p, q] = total
+    return True
+
+
+@compiled
+def point_normal(n, j, buffers, place, damping, shifts, V, b):  # type: ignore[no-untyped-def]
     """Normal matrix and right side of one point, its own knowledge included."""
-    points, target, information, uses_level = place
+    points, target, information, shift_of = place
     rs, _, Jps, _, _ = buffers
     for p in range(3):
         own = target[j, p] - points[j, p]
-        if p == 2 and uses_level[j]:
-            own -= level
+        if p == 2 and shift_of[j] >= 0:
+            own -= shifts[shift_of[j]]
         b[p] = information[j, p] * own if information[j, p] > 0.0 else 0.0
         for q in range(3):
             V[p, q] = information[j, p] if p == q else 0.0
@@ -243,7 +276,7 @@ def reduce_points(obs, state, place, span, camera_of, settings, pattern, out):  
     """
     blocks, border, corner, rhs_pose, rhs_shared = out
     start, column = pattern
-    scale2, damping, level, level_at = settings
+    scale2, damping, shifts, first_shift = settings
     rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
     Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
     Jcs = np.zeros((MAX_RAYS, 2, CAMERA_UNKNOWNS))
@@ -252,14 +285,14 @@ def reduce_points(obs, state, place, span, camera_of, settings, pattern, out):  
     G = corner.shape[0]
     Wg, Tg = np.zeros((G, 3)), np.zeros((G, 3))
     used = np.zeros(G, np.int64)
-    V, Vi, b = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
-    information, uses_level = place[2], place[3]
+    V, M, b, h3 = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    information, shift_of = place[2], place[3]
     lost = 0
     K = CAMERA_UNKNOWNS
     for j in range(len(span) - 1):
         n = gather(span[j], span[j + 1], obs, state, scale2, buffers)
-        point_normal(n, j, buffers, place, damping, level, V, b)
-        if not invert3(V, Vi):
+        point_normal(n, j, buffers, place, damping, shifts, V, b)
+        if not half_inverse3(V, M):
             lost += 1
             continue
         n_used = 0
@@ -274,14 +307,15 @@ def reduce_points(obs, state, place, span, camera_of, settings, pattern, out):  
                     n_used += 1
                     for p in range(3):
                         Wg[base + s, p] = 0.0
-        if uses_level[j]:
-            used[n_used] = level_at
+        if shift_of[j] >= 0:
+            at = first_shift + shift_of[j]
+            used[n_used] = at
             n_used += 1
-            Wg[level_at, 0], Wg[level_at, 1] = 0.0, 0.0
-            Wg[level_at, 2] = information[j, 2]
-            own = place[1][j, 2] - place[0][j, 2] - level
-            corner[level_at, level_at] += information[j, 2]
-            rhs_shared[level_at] += information[j, 2] * own
+            Wg[at, 0], Wg[at, 1] = 0.0, 0.0
+            Wg[at, 2] = information[j, 2]
+            own = place[1][j, 2] - place[0][j, 2] - shifts[shift_of[j]]
+            corner[at, at] += information[j, 2]
+            rhs_shared[at] += information[j, 2] * own
         for a in range(n):
             i = who[a]
             base = K * camera_of[i]
@@ -302,44 +336,44 @@ def reduce_points(obs, state, place, span, camera_of, settings, pattern, out):  
                     corner[base + p, base + q] += c0 * Jcs[a, 0, q] + c1 * Jcs[a, 1, q]
                 for q in range(3):
                     Wg[base + p, q] += c0 * Jps[a, 0, q] + c1 * Jps[a, 1, q]
+        for q in range(3):
+            h3[q] = M[q, 0] * b[0] + M[q, 1] * b[1] + M[q, 2] * b[2]
         for a in range(n):
             for p in range(6):
                 for q in range(3):
-                    T[a, p, q] = (
-                        W[a, p, 0] * Vi[0, q] + W[a, p, 1] * Vi[1, q] + W[a, p, 2] * Vi[2, q]
-                    )
+                    T[a, p, q] = W[a, p, 0] * M[q, 0] + W[a, p, 1] * M[q, 1] + W[a, p, 2] * M[q, 2]
         for s in range(n_used):
             g = used[s]
             for q in range(3):
-                Tg[g, q] = Wg[g, 0] * Vi[0, q] + Wg[g, 1] * Vi[1, q] + Wg[g, 2] * Vi[2, q]
-            rhs_shared[g] -= Tg[g, 0] * b[0] + Tg[g, 1] * b[1] + Tg[g, 2] * b[2]
+                Tg[g, q] = Wg[g, 0] * M[q, 0] + Wg[g, 1] * M[q, 1] + Wg[g, 2] * M[q, 2]
+            rhs_shared[g] -= Tg[g, 0] * h3[0] + Tg[g, 1] * h3[1] + Tg[g, 2] * h3[2]
         for a in range(n):
             i = who[a]
             for p in range(6):
                 t0, t1, t2 = T[a, p, 0], T[a, p, 1], T[a, p, 2]
-                rhs_pose[i, p] -= t0 * b[0] + t1 * b[1] + t2 * b[2]
+                rhs_pose[i, p] -= t0 * h3[0] + t1 * h3[1] + t2 * h3[2]
                 for s in range(n_used):
                     g = used[s]
-                    border[i, p, g] -= t0 * Wg[g, 0] + t1 * Wg[g, 1] + t2 * Wg[g, 2]
+                    border[i, p, g] -= t0 * Tg[g, 0] + t1 * Tg[g, 1] + t2 * Tg[g, 2]
             for a2 in range(a, n):
                 slot = _slot(start, column, i, who[a2])
                 for p in range(6):
                     t0, t1, t2 = T[a, p, 0], T[a, p, 1], T[a, p, 2]
                     for q in range(6):
-                        blocks[slot, p, q] -= t0 * W[a2, q, 0] + t1 * W[a2, q, 1] + t2 * W[a2, q, 2]
+                        blocks[slot, p, q] -= t0 * T[a2, q, 0] + t1 * T[a2, q, 1] + t2 * T[a2, q, 2]
         for s in range(n_used):
             g = used[s]
             for s2 in range(n_used):
                 h = used[s2]
                 if h >= g:
-                    corner[g, h] -= Tg[g, 0] * Wg[h, 0] + Tg[g, 1] * Wg[h, 1] + Tg[g, 2] * Wg[h, 2]
+                    corner[g, h] -= Tg[g, 0] * Tg[h, 0] + Tg[g, 1] * Tg[h, 1] + Tg[g, 2] * Tg[h, 2]
     return lost
 
 
 @compiled
 def move_points(obs, state, place, span, camera_of, settings, step, out):  # type: ignore[no-untyped-def]
     """Steps of the points that follow from the steps of poses (n, 6) and shared unknowns (G,)."""
-    scale2, damping, level, level_at = settings
+    scale2, damping, shifts, first_shift = settings
     step_pose, step_shared = step
     rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
     Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
@@ -348,13 +382,13 @@ def move_points(obs, state, place, span, camera_of, settings, step, out):  # typ
     V, Vi, b = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     for j in range(len(span) - 1):
         n = gather(span[j], span[j + 1], obs, state, scale2, buffers)
-        point_normal(n, j, buffers, place, damping, level, V, b)
+        point_normal(n, j, buffers, place, damping, shifts, V, b)
         for p in range(3):
             out[j, p] = 0.0
         if not invert3(V, Vi):
             continue
-        if place[3][j]:
-            b[2] -= place[2][j, 2] * step_shared[level_at]
+        if place[3][j] >= 0:
+            b[2] -= place[2][j, 2] * step_shared[first_shift + place[3][j]]
         for a in range(n):
             i = who[a]
             base = CAMERA_UNKNOWNS * camera_of[i]
@@ -376,7 +410,7 @@ def _point_cost(j, k0, k1, p, obs, state, place, settings, buffers):  # type: ig
     photo, _, uv, sigma, camera_of, height = obs
     origin, rotation, motion, cameras, _ = state
     rs, Jxs, Jps, Jcs, _ = buffers
-    scale2, _, level, _ = settings
+    scale2, _, shifts, _ = settings
     cost = 0.0
     for k in range(k0, k1):
         i = photo[k]
@@ -390,8 +424,8 @@ def _point_cost(j, k0, k1, p, obs, state, place, settings, buffers):  # type: ig
         cost += _weight(chi2, scale2)[0]
     for q in range(3):
         off = place[1][j, q] - p[q]
-        if q == 2 and place[3][j]:
-            off -= level
+        if q == 2 and place[3][j] >= 0:
+            off -= shifts[place[3][j]]
         cost += place[2][j, q] * off * off
     return cost
 
@@ -399,7 +433,7 @@ def _point_cost(j, k0, k1, p, obs, state, place, settings, buffers):  # type: ig
 @compiled
 def place_points(obs, state, place, span, settings, out):  # type: ignore[no-untyped-def]
     """Better places of the points, (k, 3), for cameras that stay; each one's cost falls."""
-    scale2, _, level, _ = settings
+    scale2, _, shifts, _ = settings
     rs, who = np.zeros((MAX_RAYS, 2)), np.zeros(MAX_RAYS, np.int64)
     Jxs, Jps = np.zeros((MAX_RAYS, 2, 6)), np.zeros((MAX_RAYS, 2, 3))
     Jcs = np.zeros((MAX_RAYS, 2, CAMERA_UNKNOWNS))
@@ -412,7 +446,7 @@ def place_points(obs, state, place, span, settings, out):  # type: ignore[no-unt
         own = 1e-6
         for _attempt in range(4):
             n = gather(span[j], span[j + 1], obs, state, scale2, buffers)
-            point_normal(n, j, buffers, place, own, level, V, b)
+            point_normal(n, j, buffers, place, own, shifts, V, b)
             if not invert3(V, Vi):
                 break
             for p in range(3):

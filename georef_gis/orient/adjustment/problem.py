@@ -16,6 +16,7 @@ from georef_gis.orient.adjustment.block import (
     LARGE,
     Block,
     FlightPrior,
+    GroundPrior,
     camera_vector,
     joined_observations,
     marked_points,
@@ -25,7 +26,9 @@ from georef_gis.orient.adjustment.dense import DenseFactor
 from georef_gis.orient.adjustment.flight_model import FlightModel
 from georef_gis.orient.adjustment.kernels import (
     CAMERA_UNKNOWNS,
+    LEVEL,
     MAX_RAYS,
+    SURFACE,
     move_points,
     place_points,
     reduce_points,
@@ -40,14 +43,22 @@ POINT_ROUNDS = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State:
-    """Values of all unknowns: poses, cameras (c, 12), points, shared ones of flights (f, 10)."""
+    """Values of all unknowns: poses, cameras (c, 12), points, shared ones of flights (f, 10).
+
+    `shifts` are the offset of the surface that is known beforehand, and the level of the block, m.
+    """
 
     origin: Array
     rotation: Array
     cameras: Array
     points: Array
     flights: Array
-    level: float
+    shifts: Array
+
+    @property
+    def level(self) -> float:
+        """What control adds to all heights, m."""
+        return float(self.shifts[LEVEL])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,12 +142,11 @@ class Problem:
         self.nominal = np.array([camera_vector(p.camera) for p in block.cameras])
         self.heights = np.array([float(p.camera.height) for p in block.cameras])
         self.camera_information = self._camera_information()
-        self.free = self._free()
         self.pattern = pairs_of(self.ties, len(poses))
         if self.large:
             self.order = self._band_order()
         self.sigma = self.ties.sigma.copy()
-        self._know_points()
+        self.know_ground(block.ground)
         start = block.start or poses
         self.start = State(
             origin=np.array([pose.origin_enu for pose in start]),
@@ -144,7 +154,7 @@ class Problem:
             cameras=self.nominal.copy(),
             points=np.ascontiguousarray(points, dtype=np.float64),
             flights=np.zeros((len(block.flights), FLIGHT_UNKNOWNS)),
-            level=0.0,
+            shifts=np.zeros(2),
         )
 
     def _band_order(self) -> BandOrder:
@@ -169,19 +179,28 @@ class Problem:
     def _free(self) -> NDArray[np.bool_]:
         cameras = self.camera_information > 0
         flights = [flight.free for flight in self.flights]
-        return np.concatenate([cameras, *flights, [self.block.sigma_level > 0]])
+        return np.concatenate([cameras, *flights, self.sigma_shifts > 0])
+
+    def know_ground(self, ground: GroundPrior | None) -> None:
+        """Take the heights that the ground is expected at."""
+        self.block = replace(self.block, ground=ground)
+        self.sigma_shifts = np.array(self.block.sigma_shifts)
+        self.free = self._free()
+        self._know_points()
 
     def _know_points(self) -> None:
         """What is known of points beforehand: the ground's height, surveyed places."""
         n, block = self.ties.n_points, self.block
         self.target, self.information = np.zeros((n, 3)), np.zeros((n, 3))
-        self.uses_level = np.zeros(n, dtype=np.bool_)
+        self.shift_of = np.full(n, -1, dtype=np.int64)
         ground, ties = block.ground, block.ties.n_points
         if ground is not None and ties:
             known = np.isfinite(ground.z_enu)
             spread = max(np.count_nonzero(known) / ground.independent, 1.0)
-            self.information[:ties, 2] = np.where(known, 1.0 / (ground.sigma**2 * spread), 0.0)
+            weight = 1.0 / (np.square(ground.sigma) * spread)
+            self.information[:ties, 2] = np.where(known, weight, 0.0)
             self.target[:ties, 2] = np.where(known, ground.z_enu, 0.0)
+            self.shift_of[:ties] = SURFACE if ground.sigma_offset > 0.0 else -1
         if block.control is not None:
             for row, index in enumerate(self.marked, start=ties):
                 if not block.control.used[index]:
@@ -189,7 +208,7 @@ class Problem:
                 sigma, place = block.control.sigma[index], block.control.p_enu[index]
                 self.information[row] = np.where(np.isfinite(sigma), 1.0 / sigma**2, 0.0)
                 self.target[row] = np.where(np.isfinite(sigma), place, 0.0)
-                self.uses_level[row] = True
+                self.shift_of[row] = LEVEL
 
     # -- arguments of the compiled loops -------------------------------------------------------
 
@@ -204,7 +223,7 @@ class Problem:
 
     def place(self, state: State) -> tuple[object, ...]:
         """What is known of the points, as the kernels take it."""
-        return (state.points, self.target, self.information, self.uses_level)
+        return (state.points, self.target, self.information, self.shift_of)
 
     # -- cost ----------------------------------------------------------------------------------
 
@@ -212,7 +231,7 @@ class Problem:
         """Steps of the shared unknowns from where their priors put them; shape (G,)."""
         moved = state.cameras - self.nominal
         cameras = np.concatenate([moved[:, :1], moved[:, 2:]], axis=1).ravel()
-        return np.concatenate([cameras, state.flights.ravel(), [state.level]])
+        return np.concatenate([cameras, state.flights.ravel(), state.shifts])
 
     def image_cost(self, state: State, scale2: float) -> tuple[float, Array, Array]:
         """Robust cost of the observations, residuals (m, 2) px and weights (m,)."""
@@ -228,10 +247,10 @@ class Problem:
             cost += flight.cost(d, shared)
         moved = self.shared_vector(state)[: len(self.camera_information)]
         cost += 0.5 * float(moved @ (self.camera_information * moved))
-        if self.block.sigma_level > 0:
-            cost += 0.5 * (state.level / self.block.sigma_level) ** 2
+        known = self.sigma_shifts > 0
+        cost += 0.5 * float(np.sum((state.shifts[known] / self.sigma_shifts[known]) ** 2))
         off = self.target - state.points
-        off[:, 2] -= np.where(self.uses_level, state.level, 0.0)
+        off[:, 2] -= np.where(self.shift_of >= 0, state.shifts[self.shift_of], 0.0)
         return cost + 0.5 * float(np.sum(self.information * off**2))
 
     # -- normal equations ----------------------------------------------------------------------
@@ -245,7 +264,7 @@ class Problem:
         rhs_pose, rhs_shared = np.zeros((n, 6)), np.zeros(G)
         lost = reduce_points(
             self.observations(), self.values(state), self.place(state), self.span,
-            self.block.camera_of, (scale2, damping, state.level, G - 1), (start, column),
+            self.block.camera_of, (scale2, damping, state.shifts, G - 2), (start, column),
             (blocks, border, corner, rhs_pose, rhs_shared),
         )  # fmt: skip
         corner = np.triu(corner) + np.triu(corner, 1).T
@@ -333,9 +352,10 @@ class Problem:
         cameras = np.arange(m)
         corner[cameras, cameras] += self.camera_information
         rhs[n : n + m] -= self.camera_information * self.shared_vector(state)[:m]
-        if self.block.sigma_level > 0:
-            corner[-1, -1] += 1.0 / self.block.sigma_level**2
-            rhs[-1] -= state.level / self.block.sigma_level**2
+        for k, sigma in enumerate(self.sigma_shifts, start=len(corner) - 2):
+            if sigma > 0:
+                corner[k, k] += 1.0 / sigma**2
+                rhs[n + k] -= state.shifts[k - len(corner) + 2] / sigma**2
         held = np.flatnonzero(~self.free)
         border[:, held], corner[held], corner[:, held] = 0.0, 0.0, 0.0
         corner[held, held], rhs[n + held] = 1.0, 0.0
@@ -358,8 +378,8 @@ class Problem:
             rotation=exp_so3(pose[:, 3:] - whole.turn) @ exp_so3(whole.turn) @ state.rotation,
             cameras=np.array(cameras),
             points=points,
-            flights=state.flights + shared[at:-1].reshape(state.flights.shape),
-            level=state.level + float(shared[-1]),
+            flights=state.flights + shared[at:-2].reshape(state.flights.shape),
+            shifts=state.shifts + shared[-2:],
         )
         # The rays of the new poses place the points better than the tangent of the old ones: far
         # fewer steps in the curved valleys of focal length, height and distortion.
@@ -372,7 +392,7 @@ class Problem:
         points = np.empty_like(state.points)
         place_points(
             self.observations(), self.values(state), self.place(state), self.span,
-            (scale2, 0.0, state.level, self.block.n_shared - 1), points,
+            (scale2, 0.0, state.shifts, self.block.n_shared - 2), points,
         )  # fmt: skip
         return replace(state, points=points)
 
@@ -382,7 +402,7 @@ class Problem:
         points = np.zeros_like(state.points)
         move_points(
             self.observations(), self.values(state), self.place(state), self.span,
-            self.block.camera_of, (scale2, damping, state.level, self.block.n_shared - 1),
+            self.block.camera_of, (scale2, damping, state.shifts, self.block.n_shared - 2),
             (np.ascontiguousarray(pose), shared), points,
         )  # fmt: skip
         return points

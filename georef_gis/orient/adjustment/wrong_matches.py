@@ -47,9 +47,7 @@ def _kept(
     rays = np.bincount(old.point[mask], minlength=old.n_points)
     new_block = replace(block, ties=old.selected(mask))
     if block.ground is not None:
-        new_block = replace(
-            new_block, ground=replace(block.ground, z_enu=block.ground.z_enu[rays >= 2])
-        )
+        new_block = replace(new_block, ground=block.ground.selected(rays >= 2))
     stay = np.concatenate([rays >= 2, np.ones(len(problem.marked), dtype=np.bool_)])
     points = solution.state.points[stay]
     new = Problem(new_block, points)
