@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
     from processing_algorithms.orient.blocks import Prepared
     from processing_algorithms.site import Site
 
-REPORT = "report.json"
+
+# one sigma of a focal length of which nothing is believed, as a share of it
+FOCAL_UNKNOWN = 0.3
+# chi-square by which another focal length must agree better: ten sigmas
+BEYOND_DOUBT = 100.0
 
 
 class AdjustParameters(p.Parameters):
@@ -84,11 +89,11 @@ class Adjust(Algorithm[AdjustParameters]):
             line = f"{error}; the direct result stays"
             feedback.warn(line)
             return Result(summary={"used": False, "doubts": [line]})
-        prepared, adjusted, checks, notes = found
-        failed = [check for check in checks if not check.passed]
-        if failed:
+        answer, notes = found
+        prepared, adjusted, checks = answer.prepared, answer.adjusted, answer.checks
+        if answer.failed:
             forget(project)
-            lines = [*notes, *(check.told() for check in failed)]
+            lines = [*notes, *(check.told() for check in answer.failed)]
             lines.append("the adjustment is not believed: the direct result stays")
             for line in lines:
                 feedback.warn(line)
@@ -102,20 +107,65 @@ class Adjust(Algorithm[AdjustParameters]):
         return Result(outputs=kept.files, summary=kept.summary)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Found:
+    """One adjustment, how it was prepared, its checks."""
+
+    prepared: Prepared
+    adjusted: Adjusted
+    checks: list[Check]
+
+    @property
+    def failed(self) -> list[Check]:
+        return [check for check in self.checks if not check.passed]
+
+    @property
+    def focal_failed(self) -> Check | None:
+        return next((c for c in self.failed if c.name.startswith("focal length")), None)
+
+
 def _adjusted(
     project: Project,
     site: Site,
     control: ControlObservations | None,
     parameters: AdjustParameters,
     feedback: Feedback,
-) -> tuple[Prepared, Adjusted, list[Check], list[str]]:
-    """Adjustment and its checks; once more with the camera held if it ran away.
+) -> tuple[_Found, list[str]]:
+    """Adjustment and its checks, and notes; tried otherwise if the camera ran away.
 
     Raises
     ------
     AdjustmentError
         If there is nothing to adjust, or no solution.
     """
+
+    def once(*, calibrate: bool, focal_share: float | None = None) -> _Found:
+        return _once(project, site, control, feedback, calibrate=calibrate, focal_share=focal_share)
+
+    found = once(calibrate=parameters.calibrate)
+    if not parameters.calibrate or not found.failed:
+        return found, []
+    notes: list[str] = []
+    off = found.focal_failed
+    if off is not None:
+        other = once(calibrate=True, focal_share=FOCAL_UNKNOWN)
+        line = _told_of_focal(off, other)
+        if not other.failed and _stated_focal_is_wrong(other, once):
+            return other, [f"{line}: the photos are believed, beyond doubt"]
+        notes.append(line)
+    notes.append(f"with a free camera {found.failed[0].told()}: adjusted again, the camera held")
+    return once(calibrate=False), notes
+
+
+def _once(
+    project: Project,
+    site: Site,
+    control: ControlObservations | None,
+    feedback: Feedback,
+    *,
+    calibrate: bool,
+    focal_share: float | None,
+) -> _Found:
     from georef_gis.errors import AdjustmentError
     from georef_gis.orient.adjustment.adjust import adjust
     from georef_gis.orient.adjustment.checks import plausibility
@@ -126,27 +176,37 @@ def _adjusted(
         check_cancelled(feedback)
         feedback.progress(0.8 * share, what)
 
-    notes: list[str] = []
-    for calibrate in (True, False) if parameters.calibrate else (False,):
-        prepared = prepare(project, site, calibrate=calibrate, control=control)
-        block = prepared.block
-        marked = block.control is not None and bool(block.control.used[block.control.point].any())
-        if not block.ties.n_points and not marked:
-            raise AdjustmentError("no photo shares a point with another")
-        adjusted = adjust(block, prepared.first, cancelled=feedback.cancelled, progress=told)
-        check_cancelled(feedback)
-        checks = plausibility(adjusted, site.terrain)
-        if all(check.passed for check in checks) or not calibrate:
-            break
-        failed = next(check for check in checks if not check.passed)
-        if failed.name.startswith("focal length"):
-            notes.append(
-                f"project.toml, [camera] focal_px: {failed.expected:.0f} px is what was stated or "
-                f"tagged, the photos say about {failed.value:.0f} px; set it, or widen "
-                "sigma_focal_percent"
-            )
-        notes.append(f"with a free camera {failed.told()}: adjusted again with the camera held")
-    return prepared, adjusted, checks, notes
+    prepared = prepare(project, site, calibrate=calibrate, control=control, focal_share=focal_share)
+    block = prepared.block
+    marked = block.control is not None and bool(block.control.used[block.control.point].any())
+    if not block.ties.n_points and not marked:
+        raise AdjustmentError("no photo shares a point with another")
+    adjusted = adjust(block, prepared.first, cancelled=feedback.cancelled, progress=told)
+    check_cancelled(feedback)
+    return _Found(prepared=prepared, adjusted=adjusted, checks=plausibility(adjusted, site.terrain))
+
+
+def _stated_focal_is_wrong(free: _Found, once: Callable[..., _Found]) -> bool:
+    """Whether pixels and navigation contradict the stated focal length, all else being free.
+
+    A wrong position also drags a free focal length away; with the focal length held, it is
+    found wrong itself, and all the rest agrees.
+    """
+    from georef_gis.orient.adjustment.evidence import misfit
+
+    held = once(calibrate=True, focal_share=0.0)
+    scatter = max(1.0, free.adjusted.sigma0)
+    worse = misfit(held.adjusted, scatter=scatter) - misfit(free.adjusted, scatter=scatter)
+    return worse > BEYOND_DOUBT
+
+
+def _told_of_focal(off: Check, free: _Found) -> str:
+    camera = next(c for c in free.adjusted.cameras if off.name.endswith(c.id))
+    return (
+        f"project.toml, [camera] focal_px: {off.expected:.0f} px is what was stated or tagged, the "
+        f"photos say {camera.fx:.0f} +- {camera.sigma_f:.0f} px; set it, or widen "
+        "sigma_focal_percent"
+    )
 
 
 def _two_step(project: Project, prepared: Prepared, adjusted: Adjusted) -> dict[str, Any]:

@@ -16,9 +16,12 @@ from georef_gis.frames import exp_so3
 from georef_gis.model.camera import Camera
 from georef_gis.model.control import ControlObservations
 from georef_gis.model.photo import OrientedPhoto
+from georef_gis.model.terrain import DemTerrain
 from georef_gis.model.tie_points import TiePoints
+from georef_gis.model.tin import TinTerrain
 from georef_gis.orient.adjustment.block import (
     CAMERA_NAMES,
+    INDEPENDENT,
     Block,
     CameraPrior,
     ControlInput,
@@ -90,8 +93,15 @@ def prepare(
     *,
     calibrate: bool,
     control: ControlObservations | None = None,
+    focal_share: float | None = None,
 ) -> Prepared:
-    """Block of all photos of a site that have a pose."""
+    """Block of all photos of a site that have a pose.
+
+    Parameters
+    ----------
+    focal_share
+        One sigma of focal lengths that are free, as a share of them, in place of what is stated.
+    """
     ties, matches = load_matches(project)
     ties = _of_photos(ties, tuple(site.photos))
     turns = matches.get("turns") or {}
@@ -124,7 +134,10 @@ def prepare(
         poses=tuple(view.pose for view in views.photos),
         start=tuple(start),
         camera_of=views.camera_of,
-        cameras=tuple(_camera_prior(c, views, calibrate, moving) for c in views.cameras),
+        cameras=tuple(
+            _with_focal(_camera_prior(c, views, calibrate, moving), focal_share)
+            for c in views.cameras
+        ),
         flights=flights,
         ties=observed,
         control=_control_input(control, views, tuple(site.photos)),
@@ -132,9 +145,16 @@ def prepare(
     )
     first = first_places(block, site.terrain)
     relief = _relief(views, first)
+    sigma = math.hypot(site.terrain.sigma, relief)
+    measured = isinstance(site.terrain, DemTerrain) and not isinstance(site.terrain, TinTerrain)
     ground = GroundPrior(
-        z_enu=first[: observed.n_points, 2], sigma=math.hypot(site.terrain.sigma, relief)
-    )
+        z_enu=first[: observed.n_points, 2], sigma=sigma,
+        surface=site.terrain.z_at if measured else None,
+        sigma_surface=site.terrain.sigma,
+        # a height datum may be taken for another: heights of flight hold it as without the surface
+        sigma_free=sigma / math.sqrt(INDEPENDENT),
+        sigma_other=sigma,
+    )  # fmt: skip
     return Prepared(
         block=replace(block, ground=ground), first=first, views=views, turned=turned,
         control=control,
@@ -149,6 +169,12 @@ def _camera_prior(camera: Camera, views: SensorViews, calibrate: bool, moving: b
     if any(degrees % 180 for degrees in views.turned_deg):
         prior = replace(prior, sigma=np.where(np.array(CAMERA_NAMES) == "b2", 0.0, prior.sigma))
     return prior
+
+
+def _with_focal(prior: CameraPrior, share: float | None) -> CameraPrior:
+    if share is None or prior.sigma[0] == 0.0:
+        return prior
+    return replace(prior, sigma=np.append(share * prior.camera.fx, prior.sigma[1:]))
 
 
 def _of_photos(ties: TiePoints, ids: tuple[str, ...]) -> TiePoints:

@@ -18,11 +18,11 @@ from georef_gis.orient.adjustment.block import LARGE, CameraPrior, FlightPrior
 # and each photo's own. A consumer receiver's error is mostly slow (2012 paper: minutes); angles of
 # an autopilot have a constant part, the mount, and crab is the same along a line.
 POSITION_SHARES = (0.3, 0.55, 0.15)
-TILT_SHARES = (0.4, 0.3, 0.3)
-YAW_SHARES = (0.15, 0.65, 0.2)
+TILT_SHARES = (0.3, 0.65, 0.05)
+YAW_SHARES = (0.2, 0.7, 0.1)
 # s, correlation times of the slow parts; tilt wanders with gusts and turns: told the longer, it is
 # taken for a mount, which cancels between opposite headings and makes the block's tilt too sure
-TAU_POSITION, TAU_TILT, TAU_YAW = 100.0, 40.0, 40.0
+TAU_POSITION, TAU_TILT, TAU_YAW = 100.0, 15.0, 40.0
 # m and s, one sigma where nothing is stated: antenna beside the camera, position older than photo
 SIGMA_LEVER, SIGMA_TAG_CLOCK = 0.1, 0.3
 # of a tagged position's sigma: the most that its being late makes of it
