@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tool_cases import SAMPLE, Done, Site, set_position
+from tool_cases import SAMPLE, Done, Site, copy_site, set_position
 
 from georef_gis.frames import log_so3
 from georef_gis.project import Project
@@ -335,6 +335,21 @@ def test_a_photo_of_something_else_is_told_and_harms_none(rendered: Path, tmp_pa
     assert np.abs(after.ratio[others]).max() < 4.5
     # its own tags still tell where it was
     assert np.abs(after.ratio[after.photos.index(stray.stem)]).max() < 4.5
+
+
+def test_a_focal_length_stated_20_percent_too_long_is_found_out(tmp_path: Path) -> None:
+    """Not the tags but the camera is wrong: heights would be a fifth off with it held."""
+    site = copy_site(tmp_path / "wrong_camera", photos=16)
+    site.set("logs", imu=None, gnss=None, sync=None)
+    site.set("control", file=None, marks=None)
+    # four heights from 56 to 86 m, crossed
+    site.set("camera", focal_px=round(1.2 * FULL.fx), sigma_focal_percent=None)
+    done = adjust(site)
+    assert "the photos are believed" in done.text
+    assert "[camera] focal_px" in done.text
+    project = Project.open(site.folder, read_only=True)
+    found = [o.camera.fx for o in load_site(project).photos.values()]
+    np.testing.assert_allclose(found, FULL.fx, rtol=0.02)
 
 
 def test_a_tag_60_m_off_is_told_and_its_photo_put_right(rendered: Path, tmp_path: Path) -> None:
