@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,6 +121,11 @@ class _Found:
         return [check for check in self.checks if not check.passed]
 
     @property
+    def told(self) -> list[str]:
+        """What was decided on the way, and checks that passed with a remark."""
+        return [*self.adjusted.notes, *(c.told() for c in self.checks if c.remark)]
+
+    @property
     def focal_failed(self) -> Check | None:
         return next((c for c in self.failed if c.name.startswith("focal length")), None)
 
@@ -139,51 +145,76 @@ def _adjusted(
         If there is nothing to adjust, or no solution.
     """
 
-    def once(*, calibrate: bool, focal_share: float | None = None) -> _Found:
-        return _once(project, site, control, feedback, calibrate=calibrate, focal_share=focal_share)
+    def made(
+        *, calibrate: bool, focal_share: float | None = None, wrong_headings: bool = False
+    ) -> _Found:
+        from processing_algorithms.orient.blocks import prepare
 
-    found = once(calibrate=parameters.calibrate)
+        prepared = prepare(
+            project, site, calibrate=calibrate, control=control, focal_share=focal_share,
+            wrong_headings=wrong_headings,
+        )  # fmt: skip
+        return _once(prepared, site, feedback)
+
+    found = made(calibrate=parameters.calibrate)
+    found, notes, once = _better_reading(made, found, parameters)
+    notes += found.told
     if not parameters.calibrate or not found.failed:
-        return found, []
-    notes: list[str] = []
+        return found, notes
     off = found.focal_failed
     if off is not None:
         other = once(calibrate=True, focal_share=FOCAL_UNKNOWN)
         line = _told_of_focal(off, other)
         if not other.failed and _stated_focal_is_wrong(other, once):
-            return other, [f"{line}: the photos are believed, beyond doubt"]
+            return other, [*notes, f"{line}: the photos are believed, beyond doubt"]
         notes.append(line)
     notes.append(f"with a free camera {found.failed[0].told()}: adjusted again, the camera held")
     return once(calibrate=False), notes
 
 
-def _once(
-    project: Project,
-    site: Site,
-    control: ControlObservations | None,
-    feedback: Feedback,
-    *,
-    calibrate: bool,
-    focal_share: float | None,
-) -> _Found:
+def _once(prepared: Prepared, site: Site, feedback: Feedback) -> _Found:
     from georef_gis.errors import AdjustmentError
     from georef_gis.orient.adjustment.adjust import adjust
     from georef_gis.orient.adjustment.checks import plausibility
     from georef_gis.toolbox import check_cancelled
-    from processing_algorithms.orient.blocks import prepare
 
     def told(share: float, what: str) -> None:
         check_cancelled(feedback)
         feedback.progress(0.8 * share, what)
 
-    prepared = prepare(project, site, calibrate=calibrate, control=control, focal_share=focal_share)
     block = prepared.block
     marked = block.control is not None and bool(block.control.used[block.control.point].any())
     if not block.ties.n_points and not marked:
         raise AdjustmentError("no photo shares a point with another")
     adjusted = adjust(block, prepared.first, cancelled=feedback.cancelled, progress=told)
     check_cancelled(feedback)
-    return _Found(prepared=prepared, adjusted=adjusted, checks=plausibility(adjusted, site.terrain))
+    checks = plausibility(adjusted, site.terrain)
+    return _Found(prepared=prepared, adjusted=adjusted, checks=checks)
+
+
+def _better_reading(
+    made: Callable[..., _Found], found: _Found, parameters: AdjustParameters
+) -> tuple[_Found, list[str], Callable[..., _Found]]:
+    """Turned pixels, or wrong headings: which of the two agrees better, where matching found some.
+
+    The places are the same; the principal point and the distortion lie the other way round.
+    """
+    from georef_gis.orient.adjustment.evidence import misfit
+
+    named = [key for key, degrees in found.prepared.found_turned.items() if degrees]
+    if not named:
+        return found, [], made
+    otherwise = partial(made, wrong_headings=True)
+    other = otherwise(calibrate=parameters.calibrate)
+    scatter = max(1.0, min(found.adjusted.sigma0, other.adjusted.sigma0))
+    worse = misfit(found.adjusted, scatter=scatter) - misfit(other.adjusted, scatter=scatter)
+    if worse <= BEYOND_DOUBT or len(other.failed) > len(found.failed):
+        return found, [], made
+    line = (
+        f"{', '.join(named)}: not the pixels are turned but the headings in the tags are wrong: "
+        "the lens fits better so"
+    )
+    return other, [line], otherwise
 
 
 def _stated_focal_is_wrong(free: _Found, once: Callable[..., _Found]) -> bool:

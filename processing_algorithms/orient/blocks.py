@@ -6,12 +6,13 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from georef_gis.errors import InputError
+from georef_gis.errors import AdjustmentError, InputError
 from georef_gis.frames import exp_so3
 from georef_gis.model.camera import Camera
 from georef_gis.model.control import ControlObservations
@@ -56,6 +57,8 @@ LEAST_RELIEF = 2.0
 LEAST_LEVEL = 0.5
 # s; photos further apart are of two flights
 PAUSE = 1800.0
+# of the height above ground; photos all within it were not flown, or their positions are none
+ONE_PLACE = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +70,8 @@ class Prepared:
     views: SensorViews
     turned: Mapping[str, int]
     control: ControlObservations | None
+    # deg clockwise, by photo: pixels that matching found turned and that are taken so
+    found_turned: Mapping[str, int]
 
 
 def load_matches(project: Project) -> tuple[TiePoints, dict[str, Any]]:
@@ -94,6 +99,7 @@ def prepare(
     calibrate: bool,
     control: ControlObservations | None = None,
     focal_share: float | None = None,
+    wrong_headings: bool = False,
 ) -> Prepared:
     """Block of all photos of a site that have a pose.
 
@@ -101,6 +107,14 @@ def prepare(
     ----------
     focal_share
         One sigma of focal lengths that are free, as a share of them, in place of what is stated.
+    wrong_headings
+        Photos that matching found turned have wrong headings in their tags; else their pixels were
+        turned after the exposure.
+
+    Raises
+    ------
+    AdjustmentError
+        If all photos have one position.
     """
     ties, matches = load_matches(project)
     ties = _of_photos(ties, tuple(site.photos))
@@ -108,11 +122,16 @@ def prepare(
     database = project.database
     cameras = {row["camera_id"]: camera_of(row) for row in database.rows("camera")}
     before = _turned_before(project, site)
-    turned = {
-        key: (before[key] + int(turns.get(key, {}).get("quarter_deg") or 0)) % 360
-        for key in site.photos
-    }
-    photos = [_turned_photo(o, turned[k] - before[k], cameras) for k, o in site.photos.items()]
+    _check_places(site)
+    stated = set() if not wrong_headings else set(site.photos)
+    # who says how pixels are turned leaves the heading to be wrong
+    stated |= {Path(name).stem for name in project.settings.attitude.rotate_photos}
+    turned, photos = {}, []
+    for key, oriented in site.photos.items():
+        quarter = int(turns.get(key, {}).get("quarter_deg") or 0)
+        pixels = quarter if key not in stated else 0
+        turned[key] = (before[key] + pixels) % 360
+        photos.append(_turned_photo(oriented, quarter, pixels, cameras))
     views = sensor_views(photos, cameras, turned)
     flights = _flights(project, site, views)
     moving = any(np.any(flight.velocity_enu) for flight in flights)
@@ -158,6 +177,7 @@ def prepare(
     return Prepared(
         block=replace(block, ground=ground), first=first, views=views, turned=turned,
         control=control,
+        found_turned={key: (turned[key] - before[key]) % 360 for key in turned},
     )  # fmt: skip
 
 
@@ -197,16 +217,35 @@ def _turned_before(project: Project, site: Site) -> dict[str, int]:
     return out
 
 
+def _check_places(site: Site) -> None:
+    """Refuse photos of one position: nothing would tell how large the block is."""
+    p = np.array([photo.pose.origin_enu for photo in site.photos.values()])
+    if len(p) < 3:
+        return
+    spread = float(np.ptp(p[:, :2], axis=0).max())
+    up = float(np.median(p[:, 2] - np.nan_to_num(site.terrain.z_at(p[:, :2]))))
+    if spread < ONE_PLACE * up:
+        raise AdjustmentError(
+            f"all {len(p)} photos have one position (within {spread:.1f} m), so nothing tells how "
+            "far apart they were taken; check the positions in the tags, or give a pose file"
+        )
+
+
 def _turned_photo(
-    oriented: OrientedPhoto, degrees: int, cameras: Mapping[str, Camera]
+    oriented: OrientedPhoto, degrees: int, pixels: int, cameras: Mapping[str, Camera]
 ) -> OrientedPhoto:
-    """Photo whose pixels turn out to be turned: its tags tell of the sensor."""
+    """Photo that turns out to be turned by `degrees`, its pixels by `pixels` of them."""
     if degrees % 360 == 0:
         return oriented
     R = oriented.pose.R_enu_from_cam @ R_turned_from_sensor(degrees).T
+    if pixels % 360 == 0:
+        # the heading is wrong, and roll and pitch are right in the vehicle's axes
+        world = R @ oriented.pose.R_enu_from_cam.T
+        yaw = math.atan2(world[1, 0] - world[0, 1], world[0, 0] + world[1, 1])
+        R = exp_so3([0.0, 0.0, yaw]) @ oriented.pose.R_enu_from_cam
     pose = replace(oriented.pose, R_enu_from_cam=R)
     return OrientedPhoto(
-        photo=oriented.photo, camera=oriented.camera.turned(degrees % 360), pose=pose
+        photo=oriented.photo, camera=oriented.camera.turned(pixels % 360), pose=pose
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 
 import adjustment_flights as sim
 import numpy as np
@@ -132,3 +133,41 @@ def test_points_beside_the_surface_leave_the_first_knowledge() -> None:
         sigma_surface=0.1, sigma_free=3.0, sigma_other=5.0,
     )  # fmt: skip
     assert weigh_ground(ground, np.zeros((40, 3))) is ground
+
+
+def tilted(surface: Callable[[Array], Array], slope: float) -> Callable[[Array], Array]:
+    return lambda at: np.asarray(surface(at) + slope * at[:, 0])
+
+
+def test_a_tilted_surface_that_claims_to_be_good_does_not_tilt_the_block() -> None:
+    """10 % over a block by tags: 5.7 deg where the tags are sure of the level to 1 deg."""
+    flight = sim.gps_only(44, 3, 6)
+    block = block_of(flight)
+    first = first_points(flight, block)
+    ground = ground_of(flight, 44, first)
+    assert ground.surface is not None
+    wrong = replace(ground, surface=tilted(ground.surface, 0.1))
+    plain, _ = errors(flight, adjust(block, first))
+    found = adjust(block_of(flight, ground=wrong), first)
+    off, ratio = errors(flight, found)
+    assert any("disagree on the level" in note for note in found.notes)
+    # as without a surface, up to the heights that are expected of any ground
+    assert np.abs(off[:, 3:5] - plain[:, 3:5]).max() < np.radians(0.4)
+    assert np.abs(ratio[:, 3:5]).max() < 3.0
+    right = adjust(block_of(flight, ground=ground), first)
+    assert not right.notes
+
+
+@pytest.mark.parametrize("with_surface", [True, False])
+def test_a_ground_in_another_datum_does_not_lift_the_photos(with_surface: bool) -> None:
+    """33 m, as between the ellipsoid and the sea, over a ground stated to 0.3 m."""
+    flight = sim.rtk(9, 2, 6)
+    block = block_of(flight)
+    true = first_points(flight, block)
+    first = true + np.array([0.0, 0.0, 33.0])
+    ground = GroundPrior(
+        z_enu=first[:, 2], sigma=2.0, surface=surface_of(flight, 9, 33.0) if with_surface else None,
+        sigma_surface=WAVES, sigma_free=0.6, sigma_other=2.0,
+    )  # fmt: skip
+    _, ratio = errors(flight, adjust(block_of(flight, ground=ground), first))
+    assert np.abs(ratio).max() < 4.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tool_cases import SAMPLE, Done, Site, copy_site, set_position
+from tool_cases import SAMPLE, Done, Site, copy_site, set_position, set_xmp
 
 from georef_gis.frames import log_so3
 from georef_gis.project import Project
@@ -335,6 +336,32 @@ def test_a_photo_of_something_else_is_told_and_harms_none(rendered: Path, tmp_pa
     assert np.abs(after.ratio[others]).max() < 4.5
     # its own tags still tell where it was
     assert np.abs(after.ratio[after.photos.index(stray.stem)]).max() < 4.5
+
+
+def test_wrong_headings_are_told_from_turned_pixels(tmp_path: Path) -> None:
+    """The principal point of the simulated camera lies off the middle: that tells the two apart."""
+    site = copy_site(tmp_path / "headings", photos=16)
+    site.set("logs", imu=None, gnss=None, sync=None)
+    site.set("control", file=None, marks=None)
+    wrong = [site.photos[i] for i in (2, 7, 11)]
+    for path in wrong:
+        yaw = float(re.search(rb"<Camera:Yaw>([^<]*)<", path.read_bytes())[1])  # type: ignore[index]
+        set_xmp(path, {"Yaw": f"{(yaw + 180.0) % 360.0:.1f}"})
+    done = adjust(site)
+    assert "not the pixels are turned but the headings" in done.text
+    project = Project.open(site.folder, read_only=True)
+    found = [o.camera.fx for o in load_site(project).photos.values()]
+    np.testing.assert_allclose(found, FULL.fx, rtol=0.005)
+    told = {entry["photo"] for entry in report(site)["weighed_down"]}
+    assert not told & {path.stem for path in wrong}
+
+
+def test_photos_of_one_position_are_refused_in_one_line(copied: Site) -> None:
+    for path in copied.photos:
+        set_position(path, 39.0973, -80.467)
+    done = adjust(copied)
+    assert "have one position" in done.text
+    assert kinds(copied) == {"tags": 11}
 
 
 def test_a_focal_length_stated_20_percent_too_long_is_found_out(tmp_path: Path) -> None:

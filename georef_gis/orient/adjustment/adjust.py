@@ -18,6 +18,10 @@ from georef_gis.orient.adjustment.contradictions import Doubted, freed, weigh_do
 from georef_gis.orient.adjustment.covariance import Covariances
 from georef_gis.orient.adjustment.ground_weight import weigh_ground
 from georef_gis.orient.adjustment.kernels import CAMERA_UNKNOWNS
+from georef_gis.orient.adjustment.level_check import (
+    free_contradicted_height,
+    without_contradicting_surface,
+)
 from georef_gis.orient.adjustment.problem import Problem
 from georef_gis.orient.adjustment.solve import FINAL_SCALE, Cancelled, Solution, solve
 from georef_gis.orient.adjustment.wrong_matches import freedom, sigma0, without_wrong
@@ -58,6 +62,8 @@ class Adjusted:
         Wrong matches taken out, by photo.
     doubted
         Navigation that was weighed down.
+    notes
+        What was decided on the way, for people.
     """
 
     block: Block
@@ -73,6 +79,7 @@ class Adjusted:
     sigma0: float
     removed: NDArray[np.int64]
     doubted: tuple[Doubted, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def shared(self) -> Array:
@@ -126,10 +133,13 @@ def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Ad
     solution, doubted = freed(problem, cancelled)
     tell(0.4, "first solution")
     removed = np.zeros(len(block.photo_ids), dtype=np.int64)
-    scatter = 1.0
+    scatter, notes = 1.0, list[str]()
     for number in range(ROUNDS):
         problem, solution, out = without_wrong(problem, solution)
         removed += out
+        if number == 0:
+            notes += without_contradicting_surface(problem, solution)
+            free_contradicted_height(problem, solution)
         if problem.block.ground is not None:
             state, n = solution.state, problem.block.ties.n_points
             problem.know_ground(weigh_ground(problem.block.ground, state.points[:n], state.level))
@@ -149,7 +159,7 @@ def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Ad
         problem, solution.state, scale=FINAL_SCALE, steps=10, gain=POLISHED, cancelled=cancelled
     )
     solution = replace(last, converged=last.converged or solution.converged)
-    return _answer(problem, solution, scatter, removed, doubted)
+    return replace(_answer(problem, solution, scatter, removed, doubted), notes=tuple(notes))
 
 
 def _answer(

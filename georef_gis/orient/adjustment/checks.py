@@ -7,7 +7,7 @@ known before.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,8 @@ from georef_gis.orient.adjustment.block import CAMERA_NAMES, FLIGHT_NAMES, Block
 REFUSED = 5.0
 # of its prior sigma; an unknown that stays above was not told by the flight
 HELD = 0.7
+# share by which focal length and scale may be off in a block whose size is believed
+SIZED = 0.08
 CORRELATED = 0.9
 # of all observations; more wrong matches than this and the rest is not believed either
 MOST_WRONG = 0.6
@@ -29,7 +31,10 @@ MOST_WRONG = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One comparison: `value` against `expected` with one `sigma`, in `unit`."""
+    """One comparison: `value` against `expected` with one `sigma`, in `unit`.
+
+    `remark` tells why one that is off has passed all the same.
+    """
 
     name: str
     value: float
@@ -37,28 +42,53 @@ class Check:
     sigma: float
     unit: str
     passed: bool
+    remark: str = ""
 
     def told(self) -> str:
         """One line."""
-        verdict = "agrees" if self.passed else "DOES NOT AGREE"
+        verdict = "agrees" if self.passed and not self.remark else "DOES NOT AGREE"
+        end = f": {self.remark}" if self.remark else ""
         return (
             f"{self.name} {self.value:.4g} {self.unit} {verdict} with {self.expected:.4g} "
-            f"+- {self.sigma:.2g} {self.unit}"
+            f"+- {self.sigma:.2g} {self.unit}{end}"
         )
 
 
 def plausibility(adjusted: Adjusted, terrain: Terrain | None) -> list[Check]:
     """Checks of focal length, height above ground, angles, scale and share of wrong matches."""
     out = [*_focal_lengths(adjusted), *_angles(adjusted)]
-    out += _scale(adjusted)
+    scale = _scale(adjusted)
+    out += scale
     if terrain is not None:
-        out += _heights(adjusted, terrain)
+        heights = _heights(adjusted, terrain)
+        out += [_blamed_on_ground(c, scale) for c in heights] if _is_sized(out) else heights
     kept = len(adjusted.problem.ties.photo)
     wrong = int(adjusted.removed.sum())
     share = wrong / max(kept + wrong, 1)
     passed = share <= MOST_WRONG
     out.append(_check("share of wrong matches", share, 0.0, MOST_WRONG / 3.0, "", passed=passed))
     return out
+
+
+def _is_sized(checks: list[Check]) -> bool:
+    """Whether focal lengths and scale say that the block has its size, and so its height."""
+    focal = [c for c in checks if c.name.startswith("focal length")]
+    scale = [c for c in checks if c.name == "scale"]
+    sure = all(abs(c.value / c.expected - 1.0) <= SIZED for c in [*focal, *scale])
+    return bool(scale) and sure and all(c.passed for c in [*focal, *scale])
+
+
+def _blamed_on_ground(check: Check, scale: list[Check]) -> Check:
+    """A height above ground that fails though the block has the right size."""
+    sized = abs(check.value) > 2.0 * scale[0].sigma * abs(check.value)
+    if check.passed or check.value <= 0.0 or not sized:
+        return check
+    remark = (
+        "focal length and scale agree, so the photos are kept and the ground's height is off by "
+        f"{check.value - check.expected:+.1f} m; check [ground] dem, dem_height_kind, height_m and "
+        "[gnss] height_kind: heights above the ellipsoid taken for heights above sea level?"
+    )
+    return replace(check, passed=True, remark=remark)
 
 
 def _check(

@@ -53,7 +53,7 @@ def weigh_ground(ground: GroundPrior, points: Array, level: float = 0.0) -> Grou
     on = np.isfinite(off)
     if np.count_nonzero(on) < FEWEST:
         return ground
-    fits, left = _about_a_plane(points[on, :2], off[on])
+    fits, left, _ = about_a_plane(points[on, :2], off[on])
     if np.count_nonzero(fits) < FEWEST:
         return ground
     xy, left = points[on, :2][fits], left[fits]
@@ -70,15 +70,15 @@ def weigh_ground(ground: GroundPrior, points: Array, level: float = 0.0) -> Grou
     )
 
 
-def _about_a_plane(xy: Array, off: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which of the heights are ground, and residuals of all, m, about the ground's plane."""
+def about_a_plane(xy: Array, off: Array) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which of the heights are ground, residuals of all about its plane, m, and its slope (2,)."""
     X = np.column_stack([np.ones(len(xy)), xy - xy.mean(axis=0)])
     left = off - np.median(off)
-    keep = np.ones(len(off), dtype=np.bool_)
+    keep, beta = np.ones(len(off), dtype=np.bool_), np.zeros(3)
     for _ in range(FITS):
         keep = np.abs(left - np.median(left[keep])) <= CUT * max(
             scatter(left[keep] - np.median(left[keep])), LEAST_SPREAD
         )
         beta, *_ = np.linalg.lstsq(X[keep], off[keep], rcond=1e-9)
         left = off - X @ beta
-    return keep, left
+    return keep, left, np.asarray(beta[1:])
