@@ -52,12 +52,21 @@ def turned_mask() -> np.ndarray:
     return np.asarray(cv2.fillConvexPoly(mask, corners.astype(np.int32), 1))
 
 
-def ours(path: Path, image: np.ndarray, mask: np.ndarray, wkt: str, workers: int = 1) -> None:
+def ours(
+    path: Path,
+    image: np.ndarray,
+    mask: np.ndarray,
+    wkt: str,
+    workers: int = 1,
+    *,
+    resumable: bool = False,
+) -> None:
     from georef_gis.rasters.profile import RasterProfile
     from georef_gis.rasters.writer import TiledWriter
 
     profile = RasterProfile(width=SIDE, height=SIDE, transform=TRANSFORM, crs_wkt=wkt)
-    with TiledWriter(path, profile, workers=workers) as writer:
+    kept = {"resume": "bench", "work": path.parent / "work"} if resumable else {}
+    with TiledWriter(path, profile, workers=workers, **kept) as writer:
         for row in range(writer.tile_rows):
             for col in range(writer.tile_cols):
                 at = np.s_[row * 512 : row * 512 + 512, col * 512 : col * 512 + 512]
@@ -143,6 +152,12 @@ def main() -> None:
         picture = image * mask[:, :, None]
         print(measure(f"ours, {kind}", lambda p: ours(p, picture, mask, wkt)))  # noqa: B023
         print(measure(f"ours, 2 threads, {kind}", lambda p: ours(p, picture, mask, wkt, 2)))  # noqa: B023
+        print(
+            measure(
+                f"ours, resumable, {kind}",
+                lambda p: ours(p, picture, mask, wkt, resumable=True),  # noqa: B023
+            )
+        )
         print(measure(f"GTiff + average, {kind}", lambda p: gdal_gtiff(p, picture, mask, wkt)))  # noqa: B023
         print(measure(f"COG driver, {kind}", lambda p: gdal_cog(p, picture, mask, wkt)))  # noqa: B023
 

@@ -17,6 +17,8 @@ CAMERA_MODELS: tuple[CameraModel, ...] = ("brown", "brown_inverse", "fisheye", "
 # Order of the parameters wherever they stand in one vector.
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
 
+# px; a rolling shutter's rows move a pixel by less: the next round would change nothing
+ROWS_SETTLED = 1e-7
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
@@ -167,7 +169,9 @@ class Camera:
         for _ in range(6):
             t = self.row_time(uv[..., 1:])
             # The scene moves against the camera: to first order in the readout time.
-            uv = self._project_static(p - t * (v + np.cross(w, p)))
+            before, uv = uv, self._project_static(p - t * (v + np.cross(w, p)))
+            if not np.any(np.abs(uv - before) > ROWS_SETTLED):
+                break
         return uv
 
     def row_time(self, v: ArrayLike) -> Array:

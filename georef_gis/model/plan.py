@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class Plan:
     grid: Grid
     tile_size: int
     tiles: tuple[TileTask, ...]
+
+    def without(self, done: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Plan:
+        """The plan less the tiles that are done; `done` (rows, cols)."""
+        return replace(self, tiles=tuple(t for t in self.tiles if not done[t.row, t.col]))
 
     def to_json(self) -> str:
         """As JSON text, for another process or a later run."""

@@ -113,6 +113,14 @@ class TileSketch:
         return tuple(layer.key for layer in self.layers if layer.weight.any())
 
 
+class _Unreadable(Exception):
+    """A photo that cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(str(path))
+        self.path = path
+
+
 class NadirMosaic:
     """Renders tiles of a mosaic; every tile on its own, the same whoever renders it.
 
@@ -145,6 +153,7 @@ class NadirMosaic:
         narrowest = min((source.reach for source in sources.values()), default=np.inf)
         self._band = min(FEATHER * gsd, WIDEST_FEATHER * narrowest)
         self._read = read
+        self._lost: set[Path] = set()
 
     def tile(self, task: TileTask) -> tuple[Image, Mask | None] | None:
         """Pixels (rows, cols, bands) and mask of one tile; None where no photo shows it."""
@@ -152,8 +161,11 @@ class NadirMosaic:
 
     def sketch(self, task: TileTask) -> TileSketch:
         """Geometry of a tile: which photos count where. Cheap, reads no photo."""
+        return self._sketch(task, frozenset(self._lost))
+
+    def _sketch(self, task: TileTask, without: frozenset[Path]) -> TileSketch:
         found = (self._sources.get(i) for i in task.photo_ids)
-        sources = [source for source in found if source is not None]
+        sources = [s for s in found if s is not None and s.photo.photo.path not in without]
         if not sources:
             return TileSketch(task, 1, ())
         step = min(s.step for s in sources)
@@ -172,13 +184,14 @@ class NadirMosaic:
 
     def render(self, sketch: TileSketch) -> tuple[Image, Mask | None] | None:
         """Pixels (rows, cols, bands) and mask of a sketched tile; None where no photo shows it."""
+        without: frozenset[Path] = frozenset()
         while sketch.layers:
             try:
                 return self._render(sketch)
-            except InputError as error:
-                # Named once, then the tile is made from the photos that can be read.
-                self._drop(sketch, error)
-                sketch = self.sketch(sketch.task)
+            except _Unreadable as error:
+                # Left out here only: what other tiles found must not change this one's mesh.
+                without |= {error.path}
+                sketch = self._sketch(sketch.task, without)
         return None
 
     def _render(self, sketch: TileSketch) -> tuple[Image, Mask | None] | None:
@@ -188,7 +201,7 @@ class NadirMosaic:
         delta = relief(self._ground, self._grid, window, step)
         maps = [positions(a.uv, step, shape, delta, a.moves) for a in sketch.layers]
         slack = [largest_move(delta, layer.moves) for layer in sketch.layers]
-        first = self._read(*sketch.keys[0])
+        first = self._image(*sketch.keys[0])
         out = np.zeros((*shape, first.shape[2]), dtype=first.dtype)
         mask = np.zeros(shape, dtype=np.bool_)
         for pixels, nodes in blocks(window, step):
@@ -196,22 +209,27 @@ class NadirMosaic:
                 _View(a, uv[pixels], nodes, step, far)
                 for a, uv, far in zip(sketch.layers, maps, slack, strict=True)
             ]
-            _blend(_parts(views, self._read), out[pixels], mask[pixels])
+            _blend(_parts(views, self._image), out[pixels], mask[pixels])
         if not mask.any():
             return None
         return (out, None) if mask.all() else (out, mask)
 
-    def _drop(self, sketch: TileSketch, error: InputError) -> None:
-        self._broken.append(str(error))
-        gone = [a for a in sketch.layers if a.source.photo.photo.path.name in error.source]
-        for layer in gone or sketch.layers:
-            self._sources.pop(layer.source.photo.id, None)
+    def _image(self, path: Path, reduce: int) -> Image:
+        """Pixels of a photo; one that could not be read is not tried again."""
+        if path in self._lost:
+            raise _Unreadable(path)
+        try:
+            return self._read(path, reduce)
+        except InputError as error:
+            self._lost.add(path)
+            self._broken.append(str(error))
+            raise _Unreadable(path) from error
 
     def _cost(self, source: MosaicSource, p_enu: Array, uv: Array, step: int) -> Array:
         """Distance from the nadir, m, growing towards the rim; inf beyond it."""
         pose, camera = source.photo.pose, source.photo.camera
         d = np.hypot(p_enu[..., 0] - pose.origin_enu[0], p_enu[..., 1] - pose.origin_enu[1])
-        edge = _edge_distance(uv, camera.width, camera.height)
+        edge = edge_distance(uv, camera.width, camera.height)
         rim = RIM * min(camera.width, camera.height)
         # Nodes a cell outside still count: a corner of the photo may lie between nodes.
         margin = -3.0 * step * source.reduce - rim
@@ -229,7 +247,7 @@ class NadirMosaic:
         return np.asarray(np.clip(1.0 - lead / self._band, 0.0, 1.0))
 
 
-def _edge_distance(uv: NDArray[np.floating[Any]], width: int, height: int) -> Array:
+def edge_distance(uv: NDArray[np.floating[Any]], width: int, height: int) -> Array:
     """Distance, px, of pixels from the outer edge of an image, negative outside; (...)."""
     u, v = uv[..., 0], uv[..., 1]
     edge = np.minimum(np.minimum(u + 0.5, width - 0.5 - u), np.minimum(v + 0.5, height - 0.5 - v))
@@ -297,8 +315,8 @@ class _Part:
         w = upsample(layer.weight[nodes], self.view.step, self.data.shape[:2])
         camera = layer.source.photo.camera
         soft = SOFT_RIM + self.view.slack
-        if not np.all(_edge_distance(layer.uv[nodes], camera.width, camera.height) > soft):
-            edge = _edge_distance(self.view.uv, camera.width, camera.height)
+        if not np.all(edge_distance(layer.uv[nodes], camera.width, camera.height) > soft):
+            edge = edge_distance(self.view.uv, camera.width, camera.height)
             w = w * np.clip(edge / np.float32(SOFT_RIM), 0.0, 1.0)
         w = np.maximum(w, TRACE)
         return w if self.inside is None else np.where(self.inside, w, np.float32(0.0))

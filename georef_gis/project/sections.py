@@ -196,7 +196,9 @@ class GroundSection(Section):
         default="orthometric", description='Kind of height_m: "ellipsoidal" or "orthometric"'
     )
     height_above_ground_m: float | None = Field(
-        default=None, gt=0, description="Flying height above ground, m, where the tags have none"
+        default=None,
+        gt=0,
+        description="Usual flying height above ground, m; tags tell how photos differ from it",
     )
     sigma_m: float | None = Field(
         default=None, gt=0, description="One sigma of the ground's height, m"

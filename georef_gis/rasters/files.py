@@ -37,13 +37,29 @@ def scratch_file(target: Path) -> IO[bytes]:
     return tempfile.TemporaryFile(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
 
 
+def write_all(stream: IO[bytes], data: bytes | memoryview) -> None:
+    """Write every byte; a file without a buffer may take fewer at once."""
+    view = memoryview(data)
+    while len(view):
+        view = view[stream.write(view) :]
+
+
+def lasting_file(path: Path) -> IO[bytes]:
+    """A file to read and append to, made if there is none, each write at once with the system.
+
+    What was written survives the death of the process, which a buffer of its own would not.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+    return open(descriptor, "r+b", buffering=0)
+
+
 @contextmanager
 def whole_file(target: Path) -> Iterator[IO[bytes]]:
     """A file to write that takes the target's name at the end, and leaves nothing on failure."""
     part = target.with_name(f".{target.name}.{os.getpid()}-{os.urandom(4).hex()}.part")
     try:
         with open(part, "xb") as stream:
-            _lock(stream)
+            lock(stream)
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -65,7 +81,7 @@ def remove_stale(target: Path) -> None:
     for name in names:
         part = target.with_name(name)
         with suppress(OSError), open(part, "rb") as stream:
-            _lock(stream)
+            lock(stream)
             if sys.platform != "win32":
                 part.unlink()
         if sys.platform == "win32":
@@ -74,14 +90,16 @@ def remove_stale(target: Path) -> None:
                 part.unlink()
 
 
-def _lock(stream: IO[bytes]) -> None:
+def lock(stream: IO[bytes]) -> None:
     """Take the file's lock or raise OSError; the system frees it when the process ends."""
     if sys.platform != "win32":
         fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @contextmanager
-def export_errors(target: Path, needed: Callable[[], int]) -> Iterator[None]:
+def export_errors(
+    target: Path, needed: Callable[[], int], *, folder: Path | None = None, kept: bool = False
+) -> Iterator[None]:
     """Turn the system's refusals to write into an `ExportError` of one line.
 
     Parameters
@@ -89,12 +107,16 @@ def export_errors(target: Path, needed: Callable[[], int]) -> Iterator[None]:
     target
         The file named in the message.
     needed
-        Bytes that are still to be written, at least.
+        Bytes that are still to be written to its disk, at least; 0 = not known.
+    folder
+        What is written to; None = the target's own.
+    kept
+        Whether finished tiles outlive the failure.
     """
     try:
         yield
     except OSError as error:
-        raise ExportError(_reason(target, error, needed())) from error
+        raise ExportError(_reason(target, error, needed(), folder, kept)) from error
 
 
 def check_space(target: Path, needed: int) -> None:
@@ -103,14 +125,32 @@ def check_space(target: Path, needed: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _reason(target: Path, error: OSError, needed: int) -> str:
+def same_disk(first: Path, second: Path) -> bool:
+    """Whether two folders share their free space; not if one is gone."""
+    with suppress(OSError):
+        return os.stat(first).st_dev == os.stat(second).st_dev
+    return False
+
+
+def _reason(target: Path, error: OSError, needed: int, folder: Path | None, kept: bool) -> str:
+    named = "" if folder is None else f" of {folder}"
+    folder = folder or target.parent
     if error.errno in _DISK_FULL:
         with suppress(OSError):
-            free = shutil.disk_usage(target.parent).free
-            return (
-                f"{target}: the disk is full: at least {needed / 1e6:.1f} MB more are needed, "
-                f"{free / 1e6:.1f} MB are free; free some space or write to another disk"
+            free = shutil.disk_usage(folder).free
+            more = f"at least {needed / 1e6:.1f} MB more are needed, " if needed else ""
+            cure = (
+                "and start again, finished tiles are kept" if kept else "or write to another disk"
             )
+            return (
+                f"{target}: the disk{named} is full: {more}{free / 1e6:.1f} MB are free; "
+                f"free some space {cure}"
+            )
+    if error.errno == errno.EFBIG:
+        return (
+            f"{target}: a file in {folder} grows larger than this disk or this user may have "
+            "(FAT holds 4 GB, see `ulimit -f`); use another disk or lift the limit"
+        )
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return f"{target}: folder {target.parent} cannot be written to; choose another"
+        return f"{target}: folder {folder} cannot be written to; choose another"
     return f"{target}: cannot be written ({error.strerror or error}); check the disk"

@@ -6,6 +6,7 @@ silently merges the bands of multispectral ones. GDAL does neither, so TIFFs go 
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 import warnings
@@ -158,8 +159,7 @@ def read_image(path: str | os.PathLike[str], *, reduce: int = 1) -> NDArray[Any]
     InputError
         If the file is missing, not an image, or truncated.
     """
-    if reduce not in _REDUCED:
-        raise ValueError(f"reduce {reduce}: must be 1, 2, 4 or 8")
+    _check_reduce(reduce)
     try:
         raw = Path(path).read_bytes()
     except OSError as error:
@@ -168,10 +168,29 @@ def read_image(path: str | os.PathLike[str], *, reduce: int = 1) -> NDArray[Any]
         ) from error
     if raw[:4] in _TIFF_MAGIC:
         return _reduced(_tiff(path), reduce)
+    return decode_image(raw, _name(path), reduce=reduce)
+
+
+def decode_image(raw: bytes, name: str, *, reduce: int = 1) -> NDArray[Any]:
+    """Photo from the bytes of its file, as `read_image` gives it; `name` is for messages.
+
+    Raises
+    ------
+    InputError
+        If they are not an image, or truncated.
+    """
+    _check_reduce(reduce)
+    if raw[:4] in _TIFF_MAGIC:
+        return _reduced(_tiff(io.BytesIO(raw), name), reduce)
     if raw.startswith(_JPEG_MAGIC):
-        return _jpeg(raw, _name(path), reduce)
+        return _jpeg(raw, name, reduce)
     # such as PNG; UNCHANGED keeps alpha and 16 bits
-    return _reduced(_decoded(raw, cv2.IMREAD_UNCHANGED, _name(path)), reduce)
+    return _reduced(_decoded(raw, cv2.IMREAD_UNCHANGED, name), reduce)
+
+
+def _check_reduce(reduce: int) -> None:
+    if reduce not in _REDUCED:
+        raise ValueError(f"reduce {reduce}: must be 1, 2, 4 or 8")
 
 
 def _jpeg(raw: bytes, name: str, reduce: int) -> NDArray[Any]:
@@ -236,8 +255,8 @@ def _decoded(raw: bytes, flags: int, name: str, *, swap: bool = False) -> NDArra
     return image
 
 
-def _tiff(path: str | os.PathLike[str]) -> NDArray[Any]:
-    with _dataset(path) as dataset:
+def _tiff(source: str | os.PathLike[str] | io.BytesIO, name: str = "") -> NDArray[Any]:
+    with _dataset(source, name) as dataset:
         return np.ascontiguousarray(np.moveaxis(dataset.read(), 0, 2))
 
 
@@ -253,21 +272,21 @@ def _reduced(image: NDArray[Any], reduce: int) -> NDArray[Any]:
 
 
 @contextmanager
-def _dataset(path: str | os.PathLike[str]) -> Iterator[Any]:
-    """An open rasterio dataset; what it cannot read is the file's fault."""
+def _dataset(source: str | os.PathLike[str] | io.BytesIO, name: str = "") -> Iterator[Any]:
+    """An open rasterio dataset; what it cannot read is the fault of the file, called `name`."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     try:
         with _OPENING, warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
+            dataset = rasterio.open(source)
         with dataset:
             yield dataset
     except RasterioError as error:
         raise InputError(
             f"cannot be read as a raster ({_one_line(error)}); check that the file is whole",
-            source=_name(path),
+            source=_named(source, name),
         ) from error
 
 
@@ -289,8 +308,19 @@ def _header(dataset: Any, path: str | os.PathLike[str], band: int) -> GridHeader
     )
 
 
+def count_valid(path: str | os.PathLike[str]) -> int:
+    """Pixels of a raster that its mask, alpha or nodata value calls valid, tile by tile."""
+    with _dataset(path) as dataset:
+        windows = [window for _, window in dataset.block_windows(1)]
+        return sum(int(np.count_nonzero(dataset.dataset_mask(window=w))) for w in windows)
+
+
 def _name(path: str | os.PathLike[str]) -> str:
     return Path(path).name
+
+
+def _named(source: str | os.PathLike[str] | io.BytesIO, name: str) -> str:
+    return name if isinstance(source, io.BytesIO) else _name(source)
 
 
 def _one_line(error: Exception) -> str:

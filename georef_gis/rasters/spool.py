@@ -1,17 +1,19 @@
-"""Encoded tiles of one level and halved tiles in waiting, on disk rather than in memory."""
+"""Encoded tiles of one level, on disk rather than in memory."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import errno
+import os
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from georef_gis.rasters.files import scratch_file
-from georef_gis.rasters.pyramid import Level, Samples, Tile
+from georef_gis.rasters.files import scratch_file, write_all
+from georef_gis.rasters.pyramid import Level
 from georef_gis.rasters.tiff import LEADER, TRAILER
 
 # bytes copied at once
@@ -20,9 +22,67 @@ _CHUNK = 8 << 20
 FRAME = LEADER + TRAILER
 
 
+class Backing(Protocol):
+    """Where the files of an unfinished raster lie.
+
+    Attributes
+    ----------
+    lasting
+        Whether they outlive the process.
+    """
+
+    lasting: bool
+
+    def level_file(self, number: int) -> IO[bytes]:
+        """File for the encoded tiles of a level."""
+
+    def halves_file(self) -> IO[bytes]:
+        """File for the halved tiles in waiting."""
+
+    def commit(self, records: Sequence[Any]) -> None:
+        """Declare that what the records tell is written."""
+
+    def remove(self) -> None:
+        """Remove what outlived the process."""
+
+    def close(self) -> None:
+        """Close the files that are not the callers'."""
+
+
+class Scratch:
+    """Nameless files beside the target, gone with the process."""
+
+    lasting = False
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+
+    def level_file(self, number: int) -> IO[bytes]:
+        """File for the encoded tiles of a level."""
+        return scratch_file(self._target)
+
+    def halves_file(self) -> IO[bytes]:
+        """File for the halved tiles in waiting."""
+        return scratch_file(self._target)
+
+    def commit(self, records: Sequence[Any]) -> None:
+        """Nothing is kept, so nothing is declared."""
+
+    def remove(self) -> None:
+        """Nothing outlives the process."""
+
+    def close(self) -> None:
+        """All files are their users'."""
+
+
 def framed(data: bytes) -> bytes:
     """A tile as it stands in the file: its size, its data, its last four bytes again."""
     return b"".join([len(data).to_bytes(LEADER, "little"), data, data[-TRAILER:]])
+
+
+def length_of(image: int, mask: int) -> int:
+    """Bytes that a tile and, unless its size is 0, its mask take with their frames."""
+    return image + FRAME + (mask + FRAME if mask else 0)
 
 
 class LevelSpool:
@@ -34,9 +94,11 @@ class LevelSpool:
         Length of each tile's data in row-major order; 0 = no tile.
     partial
         Whether some tile has missing pixels.
+    size
+        Bytes in the file.
     """
 
-    def __init__(self, level: Level, target: Path) -> None:
+    def __init__(self, level: Level, stream: IO[bytes]) -> None:
         tiles = level.across * level.down
         self.level = level
         self.image_sizes: NDArray[np.uint32] = np.zeros(tiles, np.uint32)
@@ -44,17 +106,31 @@ class LevelSpool:
         self.partial = False
         self.size = 0
         self._starts: NDArray[np.int64] = np.zeros(tiles, np.int64)
-        self._file: IO[bytes] = scratch_file(target)
+        self._file = stream
 
-    def add(self, index: int, image: bytes, mask: bytes | None, *, partial: bool) -> None:
-        """Keep the bytes of a tile and, if the file has masks, of its mask."""
-        record = framed(image) if mask is None else framed(image) + framed(mask)
-        self._file.write(record)
-        self._starts[index] = self.size
-        self.image_sizes[index] = len(image)
-        self.mask_sizes[index] = 0 if mask is None else len(mask)
+    def add(self, index: int, sizes: tuple[int, int], record: bytes, *, partial: bool) -> int:
+        """Keep a tile: the sizes of image and mask (0 = none), both framed; where it starts."""
+        start = self.size
+        write_all(self._file, record)
+        self._starts[index] = start
+        self.image_sizes[index], self.mask_sizes[index] = sizes
         self.partial |= partial
         self.size += len(record)
+        return start
+
+    def restore(
+        self, starts: NDArray[np.int64], images: NDArray[np.uint32], masks: NDArray[np.uint32]
+    ) -> None:
+        """Go on after these tiles, each array of shape (tiles,); what follows them is dropped."""
+        self._starts[:], self.image_sizes[:], self.mask_sizes[:] = starts, images, masks
+        ends = np.where(images > 0, starts + self.lengths(masks=True), 0)
+        self.size = int(ends.max(initial=0))
+        self._file.truncate(self.size)
+        self._file.seek(self.size)
+
+    def has(self, row: int, col: int) -> bool:
+        """Whether a tile is here."""
+        return bool(self.image_sizes[row * self.level.across + col])
 
     def lengths(self, *, masks: bool) -> NDArray[np.int64]:
         """Bytes each tile takes in the file, shape (tiles,)."""
@@ -71,91 +147,34 @@ class LevelSpool:
         for index in np.flatnonzero(lengths):
             at, length = int(self._starts[index]), int(lengths[index])
             if at != end or end - start + length > _CHUNK:
-                yield self._read(start, end)
+                yield self.read(start, end)
                 start = at
             end = at + length
-        yield self._read(start, end)
+        yield self.read(start, end)
+
+    def read(self, start: int, end: int) -> bytes:
+        """Bytes of the file; the next tile must not be added before `restore`."""
+        return read_exactly(self._file, start, end - start)
+
+    def sync(self) -> None:
+        """Have the disk hold what was added."""
+        os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Give the disk space back."""
-        _close(self._file)
-
-    def _read(self, start: int, end: int) -> bytes:
-        self._file.seek(start)
-        return self._file.read(end - start)
+        """Give the disk space back, unless the file outlives the process."""
+        close_quietly(self._file)
 
 
-class QuarterStore:
-    """Halved tiles that wait for their three neighbours; beyond a limit they wait on disk.
-
-    Parameters
-    ----------
-    target
-        File beside which the waiting tiles lie.
-    limit
-        Bytes kept in memory.
-    """
-
-    def __init__(self, target: Path, limit: int) -> None:
-        self._target = target
-        self._limit = limit
-        self._used = 0
-        self._file: IO[bytes] | None = None
-        self._end = 0
-
-    def put(self, tile: Tile) -> Tile | Spilled:
-        """The tile, or where it lies on disk."""
-        size = _bytes_of(tile)
-        if self._used + size <= self._limit:
-            self._used += size
-            return tile
-        if self._file is None:
-            self._file = scratch_file(self._target)
-        self._file.seek(self._end)
-        self._file.write(tile.data.tobytes())
-        if tile.mask is not None:
-            self._file.write(tile.mask.tobytes())
-        place = Spilled(self._end, tile.data, masked=tile.mask is not None)
-        self._end += size
-        return place
-
-    def take(self, kept: Tile | Spilled) -> Tile:
-        """The tile again; it no longer counts."""
-        if isinstance(kept, Tile):
-            self._used -= _bytes_of(kept)
-            return kept
-        if self._file is None:
-            raise RuntimeError("a tile was spilled without a file")
-        self._file.seek(kept.start)
-        data = np.frombuffer(self._file.read(kept.size), kept.dtype).reshape(kept.shape)
-        mask = None
-        if kept.masked:
-            rows, cols = kept.shape[:2]
-            mask = np.frombuffer(self._file.read(rows * cols), np.uint8).reshape(rows, cols)
-        return Tile(data=data, mask=mask)
-
-    def close(self) -> None:
-        """Give the disk space back."""
-        if self._file is not None:
-            _close(self._file)
+def read_exactly(stream: IO[bytes], start: int, length: int) -> bytes:
+    """Bytes from a place, or an OSError where the file ends before."""
+    stream.seek(start)
+    data = stream.read(length)
+    if len(data) != length:
+        raise OSError(errno.EIO, "a file of finished tiles became shorter")
+    return data
 
 
-class Spilled:
-    """Where a halved tile lies on disk."""
-
-    __slots__ = ("dtype", "masked", "shape", "size", "start")
-
-    def __init__(self, start: int, data: Samples, *, masked: bool) -> None:
-        self.start = start
-        self.shape, self.dtype, self.size = data.shape, data.dtype, data.nbytes
-        self.masked = masked
-
-
-def _bytes_of(tile: Tile) -> int:
-    return tile.data.nbytes + (0 if tile.mask is None else tile.mask.nbytes)
-
-
-def _close(scratch: IO[bytes]) -> None:
-    # a full disk refuses what is still buffered, which nobody needs any more
+def close_quietly(stream: IO[bytes]) -> None:
+    """Close; a full disk refuses what is still buffered, which nobody needs any more."""
     with suppress(OSError):
-        scratch.close()
+        stream.close()

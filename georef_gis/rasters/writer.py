@@ -11,7 +11,8 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -20,21 +21,19 @@ from numpy.typing import NDArray
 
 from georef_gis.errors import ExportError
 from georef_gis.rasters import files
-from georef_gis.rasters.codecs import Encoder
 from georef_gis.rasters.directories import cog_head
 from georef_gis.rasters.geokeys import geo_tags
+from georef_gis.rasters.ledger import Place
 from georef_gis.rasters.profile import RasterProfile
-from georef_gis.rasters.pyramid import Tile, halve, join, levels
-from georef_gis.rasters.spool import LevelSpool, QuarterStore, Spilled
+from georef_gis.rasters.pyramid import Tile, levels
+from georef_gis.rasters.pyramid_builder import PyramidBuilder, Step
+from georef_gis.rasters.spool import Backing, Scratch
+from georef_gis.rasters.work_folder import Resumption, WorkFolder
 
 logger = logging.getLogger(__name__)
 
-# bytes of halved tiles kept in memory; more of them wait on disk
-_WAITING_LIMIT = 48 << 20
 # tiles in flight for each worker thread
 _QUEUE = 2
-
-_Quarters = list[Tile | Spilled | None]
 
 
 class TiledWriter:
@@ -42,6 +41,9 @@ class TiledWriter:
 
     The file appears whole when the context ends, or not at all after an exception.
     Its bytes depend on the tiles only, not on their order or the number of workers.
+
+    With `resume` and `work` the finished tiles outlive an exception, the process and the machine:
+    a later writer with the same key and profile goes on, and its file is the same to the byte.
 
     Parameters
     ----------
@@ -55,11 +57,23 @@ class TiledWriter:
         Threads that encode; 1 encodes in the caller's thread.
     bigtiff
         True or False to force the kind of TIFF; None chooses BigTIFF when 4 GB are not enough.
+    resume
+        Fingerprint of what is written: photos, poses, settings. Work kept under another one, or
+        for another profile, is dropped.
+    work
+        Folder that keeps finished tiles until the file is in its place; made if there is none.
+
+    Attributes
+    ----------
+    done : shape (tile_rows, tile_cols)
+        Tiles an earlier run has finished, empty ones included; they must not be written again.
+    resumption
+        How much that was, and whether something of it was of no use.
 
     Raises
     ------
     ExportError
-        If the target cannot be written, here or later.
+        If the target cannot be written, here or later, or another process is writing it.
     CrsError
         If a GeoTIFF cannot hold the CRS.
     """
@@ -72,36 +86,50 @@ class TiledWriter:
         overviews: bool = True,
         workers: int = 1,
         bigtiff: bool | None = None,
+        resume: str | None = None,
+        work: Path | None = None,
     ) -> None:
         if workers < 1:
             raise ValueError(f"workers {workers}: must be at least 1")
+        if (resume is None) != (work is None):
+            raise ValueError("resume and work go together: a key and the folder that keeps tiles")
         self.path = files.resolve_target(path)
         self.profile = profile
         self.levels = levels(profile.width, profile.height, profile.tile_size, overviews=overviews)
         self._bigtiff = bigtiff
         # made now, so that a CRS that does not fit is refused before the work
         self._geo = geo_tags(profile)
-        self._encoder = Encoder(profile)
         self._lock = threading.Lock()
+        self.resumption = Resumption()
+        self._work = work
         self._seen = np.zeros((self.levels[0].down, self.levels[0].across), np.bool_)
-        self._waiting: list[dict[tuple[int, int], _Quarters]] = [{} for _ in self.levels]
-        self._missing: list[dict[tuple[int, int], int]] = [{} for _ in self.levels]
         self._futures: set[Future[None]] = set()
         self._open = True
         self._failure: BaseException | None = None
         self._resources = ExitStack()
-        with files.export_errors(self.path, lambda: 0), ExitStack() as opened:
+        with files.export_errors(self.path, lambda: 0, folder=work), ExitStack() as opened:
             files.remove_stale(self.path)
-            self._spools = [LevelSpool(level, self.path) for level in self.levels]
-            for spool in self._spools:
-                opened.callback(spool.close)
-            self._quarters = QuarterStore(self.path, _WAITING_LIMIT)
-            opened.callback(self._quarters.close)
+            self._open_files(opened, resume or "")
             self._resources = opened.pop_all()
+        self.done = self._seen.copy()
         self._workers = workers
         self._pool: ThreadPoolExecutor | None = None
         if workers > 1:
             self._pool = ThreadPoolExecutor(workers, thread_name_prefix="tiles")
+
+    def _open_files(self, opened: ExitStack, key: str) -> None:
+        """Open what keeps the tiles, and take over what an earlier run left."""
+        kept = None
+        if self._work is not None:
+            kept = WorkFolder(self._work, self.path, key, profile=self.profile, levels=self.levels)
+        self._backing: Backing = kept or Scratch(self.path)
+        opened.callback(self._backing.close)
+        self._builder = PyramidBuilder(self.profile, self.levels, self._backing)
+        opened.callback(self._builder.close)
+        self._builder.open()
+        if kept is not None:
+            self.resumption = self._builder.recover(kept)
+            self._seen[:] = kept.ledger.resolved
 
     def __enter__(self) -> Self:
         """Start writing."""
@@ -113,7 +141,7 @@ class TiledWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Finish the file, or leave nothing if the body failed."""
+        """Finish the file, or leave nothing, or what can be resumed, if the body failed."""
         if kind is None:
             self.close()
         else:
@@ -157,20 +185,13 @@ class TiledWriter:
         """
         tile = self._checked(row, col, data, mask)
         self._claim(row, col)
-        if self._pool is None:
-            self._guarded(self._finish, 0, row, col, tile)
-        elif tile is None:
-            self._submit(0, row, col, None)
-        else:
-            # the caller may use its arrays again before a worker has read them
-            own = tile.mask if tile.mask is None else tile.mask.copy()
-            self._submit(0, row, col, Tile(data=tile.data.copy(), mask=own))
+        self._submit((0, row, col), tile)
 
     def skip_tile(self, row: int, col: int) -> None:
         """Declare a tile empty, so that overviews above it need not wait until the end."""
         self._check_index(row, col)
         self._claim(row, col)
-        self._guarded(self._finish, 0, row, col, None)
+        self._guarded(self._builder.finish, (0, row, col), None)
 
     def close(self) -> None:
         """Finish the overviews and put the file in its place."""
@@ -181,20 +202,33 @@ class TiledWriter:
             self._drain(0)
             self._finish_rest()
             self._assemble()
+            self._backing.remove()
         finally:
             self._release()
 
-    def abort(self) -> None:
-        """Drop everything; the target stays as it was."""
+    def abort(self, *, keep: bool = True) -> None:
+        """Stop; the target stays as it was.
+
+        Parameters
+        ----------
+        keep
+            Keep what a later writer may go on with, if this one has a key; else drop everything.
+        """
+        if self._open:
+            self._stop_workers()
+            if not keep:
+                self._backing.remove()
         self._release()
 
-    def _release(self) -> None:
+    def _stop_workers(self) -> None:
         self._open = False
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
         self._futures.clear()
+
+    def _release(self) -> None:
+        self._stop_workers()
         self._resources.close()
-        self._waiting.clear()
 
     def _claim(self, row: int, col: int) -> None:
         with self._lock:
@@ -206,6 +240,8 @@ class TiledWriter:
             self._seen[row, col] = True
 
     def _check_failure(self) -> None:
+        if isinstance(self._failure, ExportError):
+            raise ExportError(str(self._failure)) from self._failure
         if self._failure is not None:
             raise ExportError(
                 f"{self.path}: not written, an earlier tile failed ({self._failure})"
@@ -231,7 +267,7 @@ class TiledWriter:
             )
         if mask is None:
             if self.profile.nodata is None:
-                return Tile(data=np.ascontiguousarray(data), mask=None)
+                return Tile(data=self._own(data), mask=None)
             mask = _present(data, self.profile.nodata)
         elif self.profile.validity == "none":
             raise ValueError("a mask for a raster whose profile has validity none")
@@ -239,31 +275,43 @@ class TiledWriter:
             raise ValueError(f"tile ({row}, {col}): mask of shape {mask.shape}, not {shape[:2]}")
         valid = mask != 0
         if valid.all():
-            return Tile(data=np.ascontiguousarray(data), mask=None)
+            return Tile(data=self._own(data), mask=None)
         if not valid.any():
             return None
-        return Tile(data=np.ascontiguousarray(data), mask=valid.view(np.uint8))
+        return Tile(data=self._own(data), mask=valid.view(np.uint8))
+
+    def _own(self, data: NDArray[Any]) -> NDArray[Any]:
+        """The samples row by row; a copy if the caller may use its array again before a worker."""
+        return np.ascontiguousarray(data) if self._pool is None else np.array(data, order="C")
 
     def _guarded(self, step: Callable[..., None], *arguments: Any) -> None:
         """Run a step; after a failure the writer takes no more tiles."""
         try:
-            with files.export_errors(self.path, self._needed):
+            with self._refusals():
                 step(*arguments)
         except BaseException as error:
             with self._lock:
                 self._failure = self._failure or error
             raise
 
-    def _needed(self) -> int:
-        """Bytes the final file takes if no more tiles come."""
-        return sum(spool.size for spool in self._spools)
+    def _refusals(self) -> AbstractContextManager[None]:
+        """Turn a refusal of the disk the tiles are on into an error of one line."""
+        return files.export_errors(
+            self.path, self._needed, folder=self._work, kept=self._work is not None
+        )
 
-    def _submit(self, number: int, row: int, col: int, tile: Tile | None) -> None:
+    def _needed(self) -> int:
+        """Bytes that the final file takes on the disk of the tiles if no more of them come."""
+        known = self._work is None or files.same_disk(self._work, self.path.parent)
+        return self._builder.size if known else 0
+
+    def _submit(self, place: Place, tile: Tile | None, step: Step | None = None) -> None:
         if self._pool is None:
-            self._guarded(self._finish, number, row, col, tile)
+            self._guarded(self._builder.finish, place, tile, step)
             return
         self._drain(_QUEUE * self._workers - 1)
-        self._futures.add(self._pool.submit(self._guarded, self._finish, number, row, col, tile))
+        job = self._pool.submit(self._guarded, self._builder.finish, place, tile, step)
+        self._futures.add(job)
 
     def _drain(self, left: int) -> None:
         """Wait until at most this number of tiles is in flight; raise what a worker met."""
@@ -272,92 +320,37 @@ class TiledWriter:
             for future in done:
                 future.result()
 
-    def _finish(self, number: int, row: int, col: int, tile: Tile | None) -> None:
-        """Encode a tile and every overview tile it completes."""
-        while True:
-            half = None
-            if tile is not None:
-                half = self._store(number, row, col, tile)
-            number, quarter = number + 1, 2 * (row % 2) + col % 2
-            row, col = row // 2, col // 2
-            if number == len(self.levels):
-                return
-            quarters = self._arrived(number, row, col, quarter, half)
-            if quarters is None:
-                return
-            tile = self._joined(number, row, col, quarters)
-
-    def _store(self, number: int, row: int, col: int, tile: Tile) -> Tile | None:
-        """Encode and keep a tile; its half if there is a coarser level."""
-        image = self._encoder.image(tile)
-        mask = self._encoder.mask(tile) if self.profile.validity == "mask" else None
-        spool = self._spools[number]
-        with self._lock:
-            index = row * spool.level.across + col
-            spool.add(index, image, mask, partial=tile.mask is not None)
-        return halve(tile) if number + 1 < len(self.levels) else None
-
-    def _arrived(
-        self, number: int, row: int, col: int, quarter: int, half: Tile | None
-    ) -> _Quarters | None:
-        """Keep a quarter of an overview tile; all its quarters if this was the last."""
-        with self._lock:
-            key = row, col
-            missing = self._missing[number]
-            if key not in missing:
-                below = self.levels[number - 1]
-                rows, cols = min(2, below.down - 2 * row), min(2, below.across - 2 * col)
-                missing[key] = rows * cols
-            missing[key] -= 1
-            if half is not None:
-                quarters = self._waiting[number].setdefault(key, [None] * 4)
-                quarters[quarter] = self._quarters.put(half)
-            if missing[key]:
-                return None
-            del missing[key]
-            return self._take(self._waiting[number].pop(key, [None] * 4))
-
-    def _take(self, quarters: _Quarters) -> _Quarters:
-        return [kept if kept is None else self._quarters.take(kept) for kept in quarters]
-
-    def _joined(self, number: int, row: int, col: int, quarters: _Quarters) -> Tile | None:
-        tiles = [kept if isinstance(kept, Tile) else None for kept in quarters]
-        like = next((kept.data for kept in tiles if kept is not None), None)
-        if like is None:
-            return None
-        shape = self.levels[number].shape(row, col)
-        return join(tiles, shape, self.profile.tile_size // 2, like)
-
     def _finish_rest(self) -> None:
         """Make the overview tiles that still wait for tiles which never came."""
-        for number in range(1, len(self.levels)):
-            with self._lock:
-                self._missing[number].clear()
-                keys = sorted(self._waiting[number])
-            for row, col in keys:
-                with self._lock:
-                    quarters = self._take(self._waiting[number].pop((row, col)))
-                self._submit(number, row, col, self._joined(number, row, col, quarters))
+        self._guarded(self._builder.no_more)
+        for level in range(1, len(self.levels)):
+            for key in self._builder.incomplete(level):
+                with self._refusals():
+                    step, tile = self._builder.taken(level, key)
+                self._submit((level, *key), tile, step)
             self._drain(0)
 
     def _assemble(self) -> None:
         """Write the file from the spooled tiles, coarsest level first."""
         masks = self.profile.validity == "mask" and (
-            self._spools[0].partial or not self._spools[0].image_sizes.all()
+            self._builder.spools[0].partial or not self._builder.spools[0].image_sizes.all()
         )
         head, size = cog_head(
             self.profile,
-            self._spools,
+            self._builder.spools,
             geo=self._geo,
-            jpeg_tables=self._encoder.jpeg_tables,
+            jpeg_tables=self._builder.jpeg_tables,
             masks=masks,
             bigtiff=self._bigtiff,
         )
-        with files.export_errors(self.path, lambda: size):
+        self._builder.drop_halves()
+        lasting = self._work is not None
+        folder = self.path.parent if lasting else None
+        with files.export_errors(self.path, lambda: size, folder=folder, kept=lasting):
             files.check_space(self.path, size)
             with files.whole_file(self.path) as stream:
                 stream.write(head)
-                for spool in reversed(self._spools):
+                for spool in reversed(self._builder.spools):
                     for chunk in spool.chunks(masks=masks):
                         stream.write(chunk)
         logger.debug("%s: %d bytes in %d levels", self.path, size, len(self.levels))

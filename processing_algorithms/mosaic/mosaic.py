@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import islice
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, check_cancelled
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.model.grid import Grid
-    from georef_gis.model.layers import Footprint
-    from georef_gis.model.photo import Photo
     from georef_gis.model.plan import Plan
-    from georef_gis.mosaic.nadir import NadirMosaic, TileSketch
-    from georef_gis.project import Project
-    from georef_gis.rasters.profile import RasterProfile
+    from georef_gis.mosaic.job import MosaicJob
     from georef_gis.rasters.warp import Image, ImageCache
-    from georef_gis.rasters.writer import TiledWriter
-    from processing_algorithms.site import Site
-
-
-# tiles whose geometry is known before their photos are read
-LOOKAHEAD = 256
+    from processing_algorithms.mosaic.cluster import Cluster
+    from processing_algorithms.mosaic.inputs import Inputs
+    from processing_algorithms.mosaic.tiles import Renderer
 
 
 class MosaicParameters(p.Parameters):
@@ -39,14 +30,45 @@ class MosaicParameters(p.Parameters):
         ge=0.0005,
         le=100,
     )
+    seams: Literal["auto", "optimised", "nearest", "none"] = p.choice(
+        "auto", title="Seams",
+        help="optimised: where photos differ least, round vehicles and roofs; nearest: half way "
+        "between the nadirs; none: a wide feather, no colour and no seam layer; auto: optimised "
+        "once the photos are adjusted, else none",
+    )  # fmt: skip
+    colour: Literal["full", "gain", "none"] = p.choice(
+        "full", title="Colour",
+        help="full: exposure, white balance, vignetting and hot spot; gain: exposure and white "
+        "balance; none: grey values stay",
+    )  # fmt: skip
+    blend: Literal["multiband", "feather", "none"] = p.choice(
+        "multiband", title="Change at the seams",
+        help="multiband: brightness over tens of metres, detail over pixels; feather: all over "
+        "64 px; none: grey values stay",
+    )  # fmt: skip
+    cluster: p.Text = p.text(
+        "", title="Cluster",
+        help="tcp://HOST:PORT of a running dask scheduler, local or local:N for N processes of "
+        "this machine; empty: threads. The project folder must be shared with the workers",
+        advanced=True,
+    )  # fmt: skip
+    photos_root: p.Text = p.text(
+        "", title="Photos as workers see them",
+        help="folder, or URL such as s3://BUCKET/photos, that stands for the photos' folder on "
+        "the workers of a cluster; empty: the same path",
+        advanced=True,
+    )  # fmt: skip
 
 
 class MosaicTool(Algorithm[MosaicParameters]):
     """One mosaic of all photos as a cloud-optimised GeoTIFF.
 
-    Of the photos that show a place the one whose nadir is nearest wins, with a soft change to the
-    next; a doubtful photo gives way to any that is not. Works tile by tile: the memory does not
-    grow with the number of photos.
+    Once the photos are adjusted, seams are laid where neighbouring photos differ least, exposure,
+    vignetting and the hot spot of the sun are evened out, and brightness is blended. The seams are
+    the layer `seams.gpkg` of the project folder: edited there, they are used at the next run.
+    Before, the photo whose nadir is nearest wins, with a soft change to the next. A doubtful photo
+    gives way to any that is not. Works tile by tile: the memory does not grow with the number of
+    photos.
     """
 
     id, name, group = "mosaic", "Mosaic", "mosaic"
@@ -58,14 +80,21 @@ class MosaicTool(Algorithm[MosaicParameters]):
     uses_settings = ("products", "ground")
 
     def inputs(self, context: Context, parameters: MosaicParameters) -> Sequence[Path]:
-        """The photos' pixels."""
-        return context.require_project().photo_files()
+        """The photos' pixels, and the seams where a user may have edited them."""
+        project = context.require_project()
+        seams = project.folder / "seams.gpkg"
+        return [*project.photo_files(), *([seams] if seams.exists() else [])]
 
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
         from georef_gis.errors import GeometryError
+        from georef_gis.rasters.reading import count_valid
+        from georef_gis.rasters.space import check_room
         from georef_gis.rasters.warp import ImageCache, one_thread_each
         from georef_gis.rasters.writer import TiledWriter
+        from processing_algorithms.mosaic.cluster import render_on_cluster
+        from processing_algorithms.mosaic.inputs import gather, mosaic_profile
+        from processing_algorithms.mosaic.tiles import render_tiles
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -75,203 +104,137 @@ class MosaicTool(Algorithm[MosaicParameters]):
         site = load_site(project, quick=context.quick)
         footprints = {k: f for k, f in load_footprints(project).items() if k in site.photos}
         cache = ImageCache()
-        usable, refused = _same_kind(site, list(footprints))
-        footprints = {k: footprints[k] for k in usable}
-        gsd = parameters.gsd or project.settings.products.gsd_m
-        capacity = cache.capacity(_largest_image(site, usable))
-        grid, plan = _planned(site, footprints, gsd, capacity)
-        kind = _kind(site, cache, usable)
-        profile = _profile(project, site, grid, kind, feedback)
+        inputs = gather(site, footprints, parameters.gsd or project.settings.products.gsd_m, cache)
+        profile = mosaic_profile(project, inputs, feedback)
         target = project.products / "mosaic.tif"
-        broken: list[str] = []
-        mosaic = _renderer(site, footprints, grid, cache, broken, kind)
         # One thread a tile: OpenCV's own threads cost more than they gain on pieces this small.
-        with one_thread_each(), TiledWriter(target, profile) as writer:
-            valid = _render(mosaic, plan, cache, writer, max(1, context.workers), feedback)
-            if not valid:
-                raise GeometryError(broken[0] if broken else "no photo shows the ground")
-        doubts = list(dict.fromkeys([*refused, *broken]))
+        with one_thread_each(), _cluster(context, parameters) as cluster:
+            ready = _renderer(context, parameters, inputs, cache, feedback)
+            work = project.cache / "mosaic" / "tiles"
+            check_room(target, profile, len(ready.plan.tiles), work=work)
+            with TiledWriter(target, profile, resume=ready.key, work=work) as writer:
+                if writer.resumption.note:
+                    feedback.info(writer.resumption.note)
+                kept = int(writer.done.sum())
+                plan = ready.plan.without(writer.done)
+                workers = max(1, context.workers)
+                if cluster is None:
+                    valid = render_tiles(ready.mosaic, plan, cache, writer, workers, feedback)
+                else:
+                    valid = render_on_cluster(
+                        cluster, ready.job, plan, cache, writer, feedback, ready.broken
+                    )
+                if not valid and not kept:
+                    raise GeometryError(
+                        ready.broken[0] if ready.broken else "no photo shows the ground"
+                    )
+        if kept:
+            feedback.info(f"{kept} tiles had been finished by an earlier run")
+            valid = count_valid(target)
+        doubts = list(dict.fromkeys([*inputs.refused, *ready.broken]))
         for message in doubts:
             feedback.warn(message)
-        pixel = grid.pixel * site.gsd_unit
         summary = {
             "products": [str(target)],
-            "gsd_m": pixel,
-            "covered_m2": valid * pixel**2,
-            "photos": len(usable),
-            "size_px": [grid.width, grid.height],
-            "tiles": len(plan.tiles),
-            "decodes_per_photo": round(cache.decodes / max(len(usable), 1), 2),
+            "gsd_m": inputs.gsd,
+            "covered_m2": valid * inputs.gsd**2,
+            "photos": len(inputs.footprints),
+            "size_px": [inputs.grid.width, inputs.grid.height],
+            "tiles": len(inputs.plan.tiles),
+            "decodes_per_photo": round(cache.decodes / max(len(inputs.footprints), 1), 2),
+            **ready.told,
             "doubts": doubts,
         }
-        project.database.set_meta(mosaic={"path": str(target), "gsd_m": pixel, "photos": usable})
+        project.database.set_meta(
+            mosaic={"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
+        )
         return Result(outputs={"mosaic": target}, summary=summary)
 
 
-def _largest_image(site: Site, names: Sequence[str]) -> int:
-    """Bytes of the largest photo, decoded to 8 bits."""
-    photos = [site.photos[name].photo for name in names]
-    return max(photo.width * photo.height * photo.bands for photo in photos)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ready:
+    """Who makes tiles, in which order, what cannot be read, and what is told of the seams."""
+
+    job: MosaicJob
+    mosaic: Renderer
+    plan: Plan
+    broken: list[str]
+    told: dict[str, Any]
+    # under which finished tiles are kept for a later run
+    key: str
 
 
-def _same_kind(site: Site, names: list[str]) -> tuple[list[str], list[str]]:
-    """Photos with the most common number and depth of bands; others cannot be in one picture."""
-    from georef_gis.errors import GeometryError
+@contextmanager
+def _cluster(context: Context, parameters: MosaicParameters) -> Iterator[Cluster | None]:
+    """Cluster that the user wants; None = threads of this process."""
+    if not parameters.cluster:
+        yield None
+        return
+    from georef_gis.mosaic.job import PhotoRoot
+    from processing_algorithms.mosaic.cluster import reached
 
-    kinds = {k: _stated_kind(site.photos[k].photo) for k in names}
-    if not kinds:
-        raise GeometryError("no photo has a footprint")
-    most = Counter(kinds.values()).most_common(1)[0][0]
-    refused = [
-        f"{site.photos[k].photo.path.name}: has bands x bits {own[0]} x {own[1]} where most photos "
-        f"have {most[0]} x {most[1]}: not in the mosaic; make it a mosaic of its own"
-        for k, own in kinds.items()
-        if own != most
-    ]
-    return [k for k, own in kinds.items() if own == most], refused
-
-
-def _stated_kind(photo: Photo) -> tuple[int, int]:
-    """Number of bands and bits of each, as the tags say; a JPEG has 8."""
-    from georef_gis.ingest.tags import numbers
-
-    bits = numbers(photo.tags, "EXIF:BitsPerSample")
-    tiff = photo.path.suffix.lower() in (".tif", ".tiff")
-    return photo.bands, int(bits[0]) if tiff and bits else 8
+    project = context.require_project()
+    here = project.path(project.settings.photos.folder)
+    with reached(
+        parameters.cluster, workers=max(1, context.workers), folder=project.cache / "mosaic",
+        photos=PhotoRoot(here=here, there=parameters.photos_root),
+    ) as cluster:  # fmt: skip
+        yield cluster
 
 
-def _kind(site: Site, cache: ImageCache, names: Sequence[str]) -> tuple[int, str]:
-    """Number and type of the bands of the first photo that can be read."""
-    from georef_gis.errors import InputError
+def _decoded(path: Path, reduce: int) -> Image:
+    """Pixels of a photo, not kept: each is reduced once."""
+    from georef_gis.rasters.reading import read_image
 
-    error: InputError | None = None
-    for name in names:
-        try:
-            image = cache.get(site.photos[name].photo.path)
-        except InputError as failure:
-            error = failure
-            continue
-        return int(image.shape[2]), str(image.dtype)
-    raise error or InputError("there is no photo to read")
-
-
-def _planned(
-    site: Site, footprints: Mapping[str, Footprint], gsd: float | None, capacity: int
-) -> tuple[Grid, Plan]:
-    """Grid over the footprints, of `gsd` m, and its tiles for a cache of so many photos."""
-    from georef_gis.model.plan import plan_tiles
-    from georef_gis.rectify.grids import plan_grid
-
-    grid = plan_grid(list(footprints.values()), site.frame, gsd=gsd)
-    return grid, plan_tiles(grid, {k: f.ring_map for k, f in footprints.items()}, capacity=capacity)
-
-
-def _profile(
-    project: Project, site: Site, grid: Grid, kind: tuple[int, str], feedback: Feedback
-) -> RasterProfile:
-    """What file to write; names of bands that are not as many as these are warned of."""
-    from processing_algorithms.rasters import profile_for
-
-    bands, dtype = kind
-    names = project.settings.products.band_names
-    if names and len(names) != bands:
-        feedback.warn(f"[products] band_names: {len(names)} names for {bands} bands, not used")
-    return profile_for(
-        project, site.frame, grid, bands=bands, dtype=dtype,
-        title=project.settings.project.name or "mosaic",
-    )  # fmt: skip
+    return read_image(path, reduce=reduce)
 
 
 def _renderer(
-    site: Site,
-    footprints: Mapping[str, Footprint],
-    grid: Grid,
+    context: Context,
+    parameters: MosaicParameters,
+    inputs: Inputs,
     cache: ImageCache,
-    broken: list[str],
-    kind: tuple[int, str],
-) -> NadirMosaic:
-    from dataclasses import replace
-
-    from georef_gis.mosaic.nadir import NadirMosaic, mosaic_source
-    from georef_gis.rasters.warp import reduction_for
-    from processing_algorithms.rasters import ground_of, reach_of
-
-    ground = ground_of(site, grid)
-    pixel = grid.pixel * site.gsd_unit
-    sources = {}
-    for key, f in footprints.items():
-        reduce = reduction_for(pixel, f.gsd)
-        source = mosaic_source(
-            site.photos[key], ground, grid, f.ring_map, reduce=reduce, reach=reach_of(f)
-        )
-        sources[key] = replace(source, doubtful=bool(site.doubts[key]))
-    return NadirMosaic(
-        sources,
-        ground,
-        grid,
-        gsd=pixel,
-        read=_checked(cache, kind),
-        broken=broken,
-    )
-
-
-def _checked(cache: ImageCache, kind: tuple[int, str]) -> Callable[[Path, int], Image]:
-    """Reader of photos that refuses those whose bands are not the mosaic's."""
-    from georef_gis.errors import InputError
-
-    def read(path: Path, reduce: int) -> Image:
-        image = cache.get(path, reduce)
-        own = (int(image.shape[2]), str(image.dtype))
-        if own != kind:
-            raise InputError(
-                f"has bands {own[0]} x {own[1]} where the mosaic has {kind[0]} x {kind[1]}: not in "
-                "the mosaic; make it a mosaic of its own",
-                source=path.name,
-            )
-        return image
-
-    return read
-
-
-def _render(
-    mosaic: NadirMosaic,
-    plan: Plan,
-    cache: ImageCache,
-    writer: TiledWriter,
-    workers: int,
     feedback: Feedback,
-) -> int:
-    """Render the tiles, a few ahead of the writer; number of valid pixels.
+) -> _Ready:
+    from georef_gis.mosaic.job import MosaicJob, checked_reader
+    from processing_algorithms.mosaic.inputs import fingerprint_of, mosaic_sources
+    from processing_algorithms.mosaic.seamlines import SeamWishes, prepare, replanned
+    from processing_algorithms.rasters import ground_of
+    from processing_algorithms.site import mostly_adjusted
 
-    The geometry of `LOOKAHEAD` tiles is known before their photos are read, so that the cache can
-    tell which photo is needed last.
-    """
-    valid = done = 0
-    sketches: deque[tuple[int, TileSketch]] = deque()
-    numbered = enumerate(plan.tiles)
-    ahead: deque[tuple[int, TileSketch, Future[Any]]] = deque()
-    with ThreadPoolExecutor(max_workers=workers) as pool:
-        try:
-            while True:
-                for number, task in islice(numbered, LOOKAHEAD - len(sketches)):
-                    sketch = mosaic.sketch(task)
-                    cache.announce(number, sketch.keys)
-                    sketches.append((number, sketch))
-                while sketches and len(ahead) <= workers:
-                    number, sketch = sketches.popleft()
-                    ahead.append((number, sketch, pool.submit(mosaic.render, sketch)))
-                if not ahead:
-                    return valid
-                number, sketch, job = ahead.popleft()
-                tile = job.result()
-                cache.finished(number, sketch.keys)
-                if tile is not None:
-                    data, mask = tile
-                    writer.write_tile(sketch.task.row, sketch.task.col, data, mask)
-                    valid += data.shape[0] * data.shape[1] if mask is None else int(mask.sum())
-                done += 1
-                feedback.progress(done / len(plan.tiles), f"tile {done} of {len(plan.tiles)}")
-                check_cancelled(feedback)
-        finally:
-            for _, _, job in ahead:
-                job.cancel()
+    sources = mosaic_sources(inputs)
+    seams = parameters.seams
+    if seams == "auto":
+        adjusted = mostly_adjusted(inputs.site.pose_kinds[k] for k in sources)
+        seams = "optimised" if adjusted and len(sources) > 1 else "none"
+    broken: list[str] = []
+    if seams == "none":
+        job = MosaicJob(
+            sources=tuple(sources.values()), ground=ground_of(inputs.site, inputs.grid),
+            grid=inputs.grid, gsd=inputs.gsd, kind=inputs.kind,
+        )  # fmt: skip
+        mosaic = job.open(cache.get, broken)
+        project = context.require_project()
+        key = fingerprint_of(project, list(sources.values()), inputs.grid, job.ground)
+        return _Ready(
+            job=job, mosaic=mosaic, plan=inputs.plan, broken=broken, told={"seams": "none"},
+            key=key,
+        )  # fmt: skip
+    wishes = SeamWishes(
+        optimised=seams == "optimised", colour=parameters.colour, blend=parameters.blend
+    )
+    found = prepare(
+        context.require_project(), inputs, sources, wishes=wishes,
+        read=checked_reader(_decoded, inputs.kind), workers=max(1, context.workers),
+        feedback=feedback,
+    )  # fmt: skip
+    broken += found.broken
+    job = MosaicJob(
+        sources=found.sources, ground=found.ground, grid=found.grid, gsd=inputs.gsd,
+        kind=inputs.kind, seams=found.seams, field=found.field,
+    )  # fmt: skip
+    mosaic = job.open(cache.get, broken)
+    plan = replanned(inputs.plan, found.seams, inputs.capacity)
+    return _Ready(
+        job=job, mosaic=mosaic, plan=plan, broken=broken, told=found.told(inputs), key=found.key
+    )

@@ -204,7 +204,8 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 for exporter in EXPORTERS:
     values = {"layer": "mosaic", "compression": "deflate"} if exporter.id == "cog" else {}
     # small files fit; a name of this site does not fit into COLMAP's format
-    if exporter.id in ("odm_geo", "poses_csv", "pix4dmapper_csv", "pix4dmatic_csv", "colmap"):
+    small = ("odm_geo", "poses_csv", "pix4dmapper_csv", "pix4dmatic_csv", "xyz_tiles")
+    if exporter.id in (*small, "colmap"):
         continue
     tool = tool_of(exporter)
     try:
@@ -234,6 +235,7 @@ def test_full_disk_leaves_nothing_and_says_so(project):
         written.unlink()
         del messages[name]
     assert {"kmz", "geopackage", "kml", "geojson", "cog", "tagged_photos"} <= messages.keys()
+    assert {"mbtiles", "pmtiles"} <= messages.keys()
     for name, text in messages.items():
         assert "cannot be written" in text, (name, text)
         assert "\n" not in text

@@ -198,7 +198,7 @@ def test_waiting_tiles_spilled_to_disk_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make(tmp_path / "a.tif", "deflate-mask")
-    monkeypatch.setattr("georef_gis.rasters.writer._WAITING_LIMIT", 30_000)
+    monkeypatch.setattr("georef_gis.rasters.pyramid_builder._WAITING_LIMIT", 30_000)
     make(tmp_path / "b.tif", "deflate-mask")
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "b.tif").read_bytes()
 

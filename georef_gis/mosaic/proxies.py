@@ -1,0 +1,270 @@
+"""Photos on the coarse grid of a mosaic, made once and kept on disk."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from georef_gis.frames import Array
+from georef_gis.model.grid import Grid, Window
+from georef_gis.model.mesh import Ground, node_positions
+from georef_gis.model.photo import OrientedPhoto
+from georef_gis.mosaic.coarse import Mask, Proxy
+from georef_gis.mosaic.nadir import DOUBT_PENALTY, RIM, RIM_PENALTY, edge_distance
+from georef_gis.rasters.warp import Image, upsample, warp_window
+
+# coarse px between the places at which the distance from the nadir is kept
+DISTANCE_STEP = 8
+# coarse px at the rim of a photo that do not count: blurred by the reduction, and half covered
+RIM_PIXELS = 1
+# coarse px between the nodes through which photos are reduced; they need be good to no more than
+# a fraction of a coarse pixel, and relief between the nodes counts all the same
+STEP = 8
+# corrected proxies in memory at once
+KEPT = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProxyPhoto:
+    """What a proxy is made from; `reduce` is by how much the photo is decoded smaller.
+
+    `reach` is half the longer diagonal of the ground the photo shows, m.
+    """
+
+    photo: OrientedPhoto
+    window: Window
+    reduce: int
+    reach: float
+    doubtful: bool = False
+
+
+def proxy_window(coarse: Grid, ring_map: Array) -> Window:
+    """Part of the coarse grid that a footprint meets."""
+    p = coarse.grid_from_map(ring_map)
+    low = np.clip(np.floor(p.min(axis=0)), 0, [coarse.width - 1, coarse.height - 1]).astype(int)
+    high = np.clip(np.ceil(p.max(axis=0)), low + 1, [coarse.width, coarse.height]).astype(int)
+    col, row = int(low[0]), int(low[1])
+    return Window(col=col, row=row, width=int(high[0]) - col, height=int(high[1]) - row)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Made:
+    """A proxy as it is kept: pixels in the photo's own type, distance at few places."""
+
+    data: Image
+    valid: Mask
+    distance: NDArray[np.float32]
+
+
+def _make(source: ProxyPhoto, image: Image, ground: Ground, coarse: Grid) -> _Made:
+    window, photo = source.window, source.photo
+    shape = (window.height, window.width)
+    found = warp_window(photo, image, ground, coarse, window, step=STEP, reduce=source.reduce)
+    if found is None:
+        bands = image.shape[2]
+        data, valid = np.zeros((*shape, bands), image.dtype), np.zeros(shape, np.bool_)
+    else:
+        data, mask = found
+        valid = np.ones(shape, np.bool_) if mask is None else mask
+    kernel = np.ones((2 * RIM_PIXELS + 1, 2 * RIM_PIXELS + 1), np.uint8)
+    # what lies beyond the window is not seen either
+    inner = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return _Made(data=data, valid=inner > 0, distance=_distance(source, ground, coarse))
+
+
+def _distance(source: ProxyPhoto, ground: Ground, coarse: Grid) -> NDArray[np.float32]:
+    """Distance from the nadir, m, at the nodes of the window, as the nadir mosaic counts it."""
+    p_enu = ground.enu_at(coarse, node_positions(source.window, DISTANCE_STEP))
+    camera, origin = source.photo.camera, source.photo.pose.origin_enu
+    uv = source.photo.project(p_enu)
+    d = np.hypot(p_enu[..., 0] - origin[0], p_enu[..., 1] - origin[1])
+    rim = RIM * min(camera.width, camera.height)
+    edge = edge_distance(uv, camera.width, camera.height)
+    d = d + RIM_PENALTY * source.reach * np.clip(1.0 - edge / rim, 0.0, 2.0)
+    if source.doubtful:
+        d = d + DOUBT_PENALTY * source.reach
+    return np.asarray(np.nan_to_num(d, nan=1e6, posinf=1e6), dtype=np.float32)
+
+
+class ProxyStore:
+    """Proxies of all photos of a mosaic in a folder; what is there already is not made again.
+
+    Parameters
+    ----------
+    folder
+        Of this mosaic's proxies: who asks for others takes another folder.
+    """
+
+    def __init__(self, folder: Path, photos: Sequence[ProxyPhoto], coarse: Grid) -> None:
+        self._folder = folder
+        self._photos = tuple(photos)
+        self._coarse = coarse
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Photos, in the order that labels count."""
+        return tuple(source.photo.id for source in self._photos)
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Part of the coarse grid that each photo covers."""
+        return tuple(source.window for source in self._photos)
+
+    @property
+    def name(self) -> str:
+        """Name of the folder."""
+        return self._folder.name
+
+    @property
+    def coarse(self) -> Grid:
+        """The coarse grid."""
+        return self._coarse
+
+    def photo(self, index: int) -> OrientedPhoto:
+        """A photo with its pose."""
+        return self._photos[index].photo
+
+    def _path(self, index: int) -> Path:
+        return self._folder / f"{index:06d}.npz"
+
+    def has(self, index: int) -> bool:
+        """Whether a photo's proxy is there."""
+        return self._path(index).exists()
+
+    def make(self, index: int, read: Callable[[Path, int], Image], ground: Ground) -> None:
+        """Make one photo's proxy; it appears whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If the photo cannot be read.
+        """
+        source = self._photos[index]
+        image = read(source.photo.photo.path, source.reduce)
+        made = _make(source, image, ground, self._coarse)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        part = self._path(index).with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, data=made.data, valid=np.packbits(made.valid), distance=made.distance)
+        part.replace(self._path(index))
+
+    def load(self, index: int) -> Proxy:
+        """One photo, as it was made."""
+        source = self._photos[index]
+        window = source.window
+        shape = (window.height, window.width)
+        with np.load(self._path(index)) as kept:
+            data = kept["data"].astype(np.float32)
+            count = shape[0] * shape[1]
+            valid = np.unpackbits(kept["valid"], count=count).reshape(shape).astype(np.bool_)
+            distance = upsample(kept["distance"], DISTANCE_STEP, shape)
+        return Proxy(
+            photo_id=source.photo.id, window=window, data=data, valid=valid,
+            distance=np.where(valid, distance, np.float32(np.inf)),
+        )  # fmt: skip
+
+    def places(self, index: int, cols: Array, rows: Array, ground: Ground) -> tuple[Array, Array]:
+        """Where places on the coarse grid lie in a photo, and how it sees them.
+
+        `cols`, `rows` (k,) count from the outer corner.
+
+        Returns
+        -------
+        xy : shape (k, 2)
+            Offset from the principal point over the photo's half diagonal.
+        view : shape (k, 2)
+            East and north of the unit vector from the ground to the camera.
+        """
+        colrow = np.stack([np.asarray(cols), np.asarray(rows)], axis=-1).astype(np.float64)
+        p_enu = ground.enu_at(self._coarse, colrow)
+        return place_in_photo(self._photos[index].photo, p_enu)
+
+
+def place_in_photo(photo: OrientedPhoto, p_enu: Array, uv: Any = None) -> tuple[Array, Array]:
+    """Normalised place in the photo and view direction of ground points; (..., 3) -> (..., 2).
+
+    `uv` are their pixels, if known.
+    """
+    camera = photo.camera
+    if uv is None:
+        uv = photo.project(p_enu)
+    half = 0.5 * float(np.hypot(camera.width, camera.height))
+    xy = (np.asarray(uv, dtype=np.float64) - [camera.cx, camera.cy]) / half
+    to_camera = photo.pose.origin_enu - p_enu
+    view = to_camera[..., :2] / np.linalg.norm(to_camera, axis=-1, keepdims=True)
+    # beyond the photo, where a polynomial would run away
+    return np.clip(np.nan_to_num(xy, nan=1.1), -1.1, 1.1), view
+
+
+class PhotoColour(Protocol):
+    """Colour corrections of the photos of a mosaic."""
+
+    def factor(self, photo: int, xy: Array, view: Array) -> Array:
+        """What values are multiplied by at places of a photo; (..., 2) twice -> (..., bands)."""
+        ...
+
+    def offset(self, photo: int) -> Array:
+        """What is added then; shape (bands,)."""
+        ...
+
+
+class CorrectedProxies:
+    """Proxies with their colour corrected: a `ProxySource`; those used last are kept."""
+
+    def __init__(self, store: ProxyStore, colour: PhotoColour, ground: Ground) -> None:
+        self._store, self._colour, self._ground = store, colour, ground
+        self._kept: OrderedDict[int, Proxy] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __getstate__(self) -> tuple[ProxyStore, PhotoColour, Ground]:
+        """What another process needs."""
+        return self._store, self._colour, self._ground
+
+    def __setstate__(self, state: tuple[ProxyStore, PhotoColour, Ground]) -> None:
+        """Start anew with nothing kept."""
+        CorrectedProxies.__init__(self, *state)
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Photos, in the order that labels count."""
+        return self._store.ids
+
+    @property
+    def windows(self) -> tuple[Window, ...]:
+        """Part of the coarse grid that each photo covers."""
+        return self._store.windows
+
+    def load(self, index: int) -> Proxy:
+        """One photo, its colour corrected; its values may exceed their type's range."""
+        with self._lock:
+            found = self._kept.get(index)
+            if found is not None:
+                self._kept.move_to_end(index)
+                return found
+        found = self._made(index)
+        with self._lock:
+            self._kept[index] = found
+            while len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        return found
+
+    def _made(self, index: int) -> Proxy:
+        proxy = self._store.load(index)
+        photo, coarse = self._store.photo(index), self._store.coarse
+        p_enu = self._ground.enu_at(coarse, node_positions(proxy.window, DISTANCE_STEP))
+        xy, view = place_in_photo(photo, p_enu)
+        nodes = self._colour.factor(index, xy, np.nan_to_num(view))
+        offset = np.asarray(self._colour.offset(index), dtype=np.float32)
+        data = np.empty_like(proxy.data)
+        for band in range(data.shape[2]):
+            factor = upsample(nodes[..., band], DISTANCE_STEP, data.shape[:2])
+            data[..., band] = proxy.data[..., band] * factor + offset[band]
+        return replace(proxy, data=data)
