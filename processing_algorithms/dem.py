@@ -22,7 +22,7 @@ from georef_gis.geodesy import (
 )
 from georef_gis.model.terrain import DemTerrain, dem_terrain
 from georef_gis.project import Project
-from georef_gis.rasters.reading import read_grid, read_grid_header
+from georef_gis.rasters.reading import GridHeader, read_grid, read_grid_header
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
 if TYPE_CHECKING:
@@ -123,9 +123,7 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> Dem:
     c0, r0 = int(np.floor(cols.min())), int(np.floor(rows.min()))
     width, height = int(np.ceil(cols.max())) - c0, int(np.ceil(rows.max())) - r0
     if width < 1 or height < 1:
-        raise InputError(
-            "does not lie under the photos; check its CRS and extent", source=str(path)
-        )
+        raise _elsewhere(path, own, header, positions_enu.mean(axis=0))
     raster = read_grid(path, window=(c0, r0, width, height))
     return Dem(
         project=project,
@@ -137,6 +135,27 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> Dem:
         unit=_stated_unit(project, header.unit, crs, path),
         cell_unit=_cell_scale(own, positions_enu.mean(axis=0)),
     )
+
+
+def _elsewhere(path: Path, own: MapFrame, header: GridHeader, p_enu: Array) -> InputError:
+    """That a DEM does not lie under the photos; where both lie. `p_enu` (3,) m is amid them."""
+    a, _, left, _, e, top = header.transform
+    middle = np.array([left + a * header.width / 2.0, top + e * header.height / 2.0, 0.0])
+    dem, photos = own.geo_from_map(middle), own.origin.geo_from_enu(p_enu)
+    return InputError(
+        f"{path} lies at {_lat_lon(dem)} and does not lie under the photos, at "
+        f"{_lat_lon(photos)}; check its CRS and extent",
+        source="project.toml",
+        field="[ground] dem",
+    )
+
+
+def _lat_lon(geo: Array) -> str:
+    """Latitude and longitude of rad in degrees; a map of another zone may have none."""
+    if not np.all(np.isfinite(geo[:2])):
+        return "no latitude and longitude"
+    lat, lon = np.degrees(geo[:2])
+    return f"{lat:.4f}, {lon:.4f} deg"
 
 
 def _cell_scale(frame: MapFrame, p_enu: Array) -> float:

@@ -101,8 +101,15 @@ def _control_lines(summary: Mapping[str, Any]) -> list[str]:
     left_out = f"; {wrong} more are called wrong and do not count" if wrong else ""
     return [
         f"points {summary['compared']} marks lie off by {east} east, {north} north (rms); "
-        f"{length_text(summary['expected_sigma_m'])} was to be expected{left_out}"
+        f"{length_text(summary['expected_sigma_m'])} was to be expected of a mark that one photo "
+        f"lays on the ground{_used(summary)}{left_out}"
     ]
+
+
+def _used(summary: Mapping[str, Any]) -> str:
+    """How many of the compared marks are of points that the photos were adjusted to."""
+    used = summary.get("marks_adjusted_to")
+    return f"; {used} of them held the photos when they were adjusted" if used else ""
 
 
 def _doubt_lines(doubts: Sequence[str]) -> list[str]:

@@ -327,6 +327,7 @@ def _known_names(
             kept.append(mark if own == mark.name else replace(mark, name=own))
     return kept, [
         f"{some[0].source}: name: point '{name}' is not among the control points; its "
-        f"{len(some)} marks are left out: correct the name or add the point"
+        f"{'mark is' if len(some) == 1 else f'{len(some)} marks are'} left out: correct the name "
+        "or add the point"
         for name, some in strangers.items()
     ]

@@ -92,12 +92,21 @@ def settle_heights(
         return _chosen(better, words, z, source, told)
     if len(stated) == 1:
         only = stated[0]
-        words = f"{source}: height: {told}, {only.metres:+.0f} m apart; check kind and unit"
-        return Heights(
-            ellipsoidal=only.h, kind=only.kind, doubts=(words,) if only.off > _REFUTED else ()
-        )
+        if not only.off > _REFUTED:
+            return Heights(ellipsoidal=only.h, kind=only.kind)
+        words = f"{source}: height: {_told_of(only, z, ground)}; check kind and unit"
+        return Heights(ellipsoidal=only.h, kind=only.kind, doubts=(words,))
     sure = [r for r in fits if all(o is r or o.off > _REFUTED for o in stated)]
     return _chosen(sure, "", z, source, told)
+
+
+def _told_of(read: _Reading, z: Array, ground: Array) -> str:
+    """Heights of one kind against the ground, both above the ellipsoid."""
+    as_read = f"{np.nanmedian(read.h):.1f} m above the ellipsoid"
+    return (
+        f"median height {np.nanmedian(z):.1f} ({read.kind}) is {as_read}, {abs(read.metres):.0f} m "
+        f"{'above' if read.metres > 0 else 'below'} the ground at {np.nanmedian(ground):.1f} m"
+    )
 
 
 def _chosen(some: list[_Reading], words: str, z: Array, source: str, told: str) -> Heights:

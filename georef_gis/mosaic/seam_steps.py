@@ -106,23 +106,27 @@ class _Means:
 
     def _made(self, index: int) -> tuple[Window, Values, Values]:
         proxy = self._source.load(index)
-        valid = proxy.valid.astype(np.float32)
-        total = cv2.blur(proxy.data * valid[..., None], (SIDE, SIDE)).reshape(proxy.data.shape)
-        share = cv2.blur(valid, (SIDE, SIDE))
-        mean: Values = np.asarray(total / np.maximum(share, 1e-6)[..., None], dtype=np.float32)
-        mean[share < 0.5] = np.nan
+        w, valid = proxy.window, proxy.valid.astype(np.float32)
+        mean = _means(proxy.data, valid)
         if self._blend is None:
-            return proxy.window, mean, mean
-        base, own = low_of(proxy.data, proxy.valid, proxy.window)
-        w = proxy.window
+            return w, mean, mean
+        base, own = low_of(proxy.data, proxy.valid, w)
         half = Window(
             col=w.col // 2, row=w.row // 2, width=w.width // 2 + 1, height=w.height // 2 + 1
         )
         added = self._blend.correction(half, base, own)
         rows = np.arange(w.row, w.row + w.height) // 2 - half.row
         cols = np.arange(w.col, w.col + w.width) // 2 - half.col
-        result: Values = mean + added[rows[:, None], cols[None, :]]
-        return w, mean, result
+        return w, mean, mean + _means(added[rows[:, None], cols[None, :]], valid)
+
+
+def _means(data: Values, valid: Values) -> Values:
+    """Means over squares of valid pixels; NaN where less than half of a square is."""
+    total = cv2.blur(data * valid[..., None], (SIDE, SIDE)).reshape(data.shape)
+    share = cv2.blur(valid, (SIDE, SIDE))
+    out: Values = np.asarray(total / np.maximum(share, 1e-6)[..., None], dtype=np.float32)
+    out[share < 0.5] = np.nan
+    return out
 
 
 def measure_steps(

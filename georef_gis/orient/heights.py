@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -20,6 +21,8 @@ SIGMA_FLAT_GROUND = 1.5
 SIGMA_GNSS_HEIGHT = 5.0
 # m, one sigma where nothing tells how high the ground lies: any land
 SIGMA_NO_LEVEL = 1000.0
+# m, and share of it: one sigma of a usual height above ground that the user states
+SIGMA_STATED, SHARE_STATED = 2.0, 0.05
 # m; tags that give their height above take-off as the absolute one, too, are equal to this
 SAME_HEIGHT = 0.06
 # m; a logged and a computed height above ground further apart than this are doubtful
@@ -89,7 +92,8 @@ def solve_heights(
 ) -> Heights:
     """Heights of the cameras above one ground.
 
-    In this order: the user's height above ground; a DEM or ground height with the tags' own
+    In this order: the user's usual height above ground, about which the tags tell how the photos
+    differ; a DEM or ground height with the tags' own
     heights; a DEM or ground height with the heights above take-off; the heights above take-off
     alone, over flat ground at take-off level.
 
@@ -172,12 +176,17 @@ class _Tags:
             kinds = " and ".join(sorted({self.words(p) for p in known}))
             sigma = float(np.median([self.sigma(p) for p in known]))
             return _Level(height=float(np.median(heights)), sigma=sigma, kind=kinds)
-        raw = {p.id: h for p in self.photos if (h := self._raw(p)) is not None}
+        raw = self.of_unknown_kind()
         pairs = [h - below[key] for key, h in raw.items() if key in below]
-        if not raw or self._repeats(raw):
+        if not raw:
             return _Level(height=0.0, sigma=SIGMA_NO_LEVEL, kind=NO_LEVEL, doubts=(NO_LEVEL_DOUBT,))
         level = float(np.median(pairs)) if pairs else _median(raw) - _median(below)
         return self._unknown(level)
+
+    def of_unknown_kind(self) -> dict[str, float]:
+        """Heights of tags of unknown kind by photo, m; none where they repeat the relative ones."""
+        raw = {p.id: h for p in self.photos if (h := self._raw(p)) is not None}
+        return {} if self._repeats(raw) else raw
 
     def _raw(self, photo: Photo) -> float | None:
         """Height of a tag of unknown kind, m, that may be an absolute one."""
@@ -221,24 +230,76 @@ def relative_height(photo: Photo, kind: HeightKind | None) -> float | None:
 
 
 def _from_user_height(tags: _Tags, ground: GroundSetting, agl: float) -> Heights:
+    """Heights about the usual one that the user states: the tags tell how each photo differs.
+
+    What the receiver's errors have in common cancels between the photos and the ground that is
+    laid below them, and is in `sigma_shared`; the rest is in `sigma`, for each photo.
+    """
     level = tags.level(dict.fromkeys((p.id for p in tags.photos), agl))
-    # The heights of one flight spread less than a GNSS height errs: keep the flight's own shape.
-    known = tags.absolute
-    cameras = {p.id: h if (h := known[p.id]) is not None else level.height + agl
-               for p in tags.photos}  # fmt: skip
+    stated = max(SIGMA_STATED, SHARE_STATED * agl)
+    over = _About(tags=tags, usual=level.height + agl, sigma=stated)
+    own = list(over.receiver.values())
+    rest = level.sigma**2 - (float(np.median(own)) ** 2 if own else 0.0)
     doubts = level.doubts
     if ground.dem is not None:
         doubts = (*doubts, "[ground] dem is not used: height_above_ground_m goes before it")
-    sigma = ground.sigma if ground.sigma is not None else 0.05 * agl
+    sigma = ground.sigma if ground.sigma is not None else stated
     return Heights(
-        cameras=cameras,
-        sigma={p.id: SIGMA_RELATIVE_HEIGHT for p in tags.photos},
+        cameras=over.cameras,
+        sigma=over.sigmas,
         terrain=FlatTerrain(origin=tags.origin, height_ellipsoidal=level.height, sigma=sigma),
-        source=f"height above ground {agl:.1f} m given by the user",
-        sigma_shared=level.sigma,
-        kinds=dict.fromkeys(cameras, level.kind),
+        source=f"height above ground {agl:.1f} m given by the user, usual of the flight",
+        sigma_shared=math.sqrt(max(rest, 0.0)),
+        kinds=dict.fromkeys(over.cameras, level.kind),
         doubts=doubts,
+        photo_doubts=over.odd(agl),
     )
+
+
+class _About:
+    """Cameras about one usual height, m above the ellipsoid; each with its sigma, m.
+
+    A photo differs from the usual height as its height above take-off does from their median,
+    else as its own height does; one that has neither flies at it. `receiver` holds the sigmas of
+    those whose own height counts.
+    """
+
+    def __init__(self, *, tags: _Tags, usual: float, sigma: float) -> None:
+        self.usual = usual
+        self.cameras: dict[str, float] = {}
+        self.sigmas: dict[str, float] = {}
+        self.receiver: dict[str, float] = {}
+        relative = {key: r for key, r in tags.relative.items() if r is not None}
+        raw = tags.of_unknown_kind()
+        own = {p.id for p in tags.photos if tags.absolute[p.id] is not None or p.id in raw}
+        own -= set(relative)
+        for p in tags.photos:
+            h = tags.absolute[p.id]
+            if p.id in relative:
+                self.cameras[p.id] = usual + relative[p.id] - _median(relative)
+                self.sigmas[p.id] = SIGMA_RELATIVE_HEIGHT
+            elif p.id in own:
+                self.cameras[p.id] = h if h is not None else usual + raw[p.id] - _median(raw)
+                self.sigmas[p.id] = _about_mean(tags.sigma(p), len(own))
+                self.receiver[p.id] = self.sigmas[p.id]
+            else:
+                self.cameras[p.id] = usual
+                self.sigmas[p.id] = _about_mean(sigma, len(tags.photos))
+
+    def odd(self, agl: float) -> dict[str, str]:
+        """What is doubtful of photos far from the usual height above the ground."""
+        most = max(HEIGHT_CONFLICT, agl / 2.0)
+        return {
+            key: f"height above the ground is {agl + h - self.usual:.0f} m by its tag, where "
+            f"[ground] height_above_ground_m says {agl:.0f} m: check the tag"
+            for key, h in self.cameras.items()
+            if abs(h - self.usual) > most
+        }
+
+
+def _about_mean(sigma: float, n: int) -> float:
+    """One sigma, m, of the difference of one of `n` heights from their mean; never nought."""
+    return max(sigma * math.sqrt(1.0 - 1.0 / n), min(sigma, SIGMA_RELATIVE_HEIGHT))
 
 
 def _over_known_ground(tags: _Tags, ground: GroundSetting) -> Heights:

@@ -190,7 +190,9 @@ def _notes(found: Scattered) -> tuple[str, ...]:
     total = found.blunders + len(found.cloud)
     if not found.blunders:
         return ()
-    return (f"{found.blunders} of {total} points stand off their surroundings and are left out",)
+    stand = "stands off its surroundings and is" if found.blunders == 1 else \
+            "stand off their surroundings and are"  # fmt: skip
+    return (f"{found.blunders} of {total} points {stand} left out",)
 
 
 def _with_dem(

@@ -144,7 +144,7 @@ def read_seams(path: Path, *, photos: Collection[str], crs_wkt: str) -> Seams:
         column, srs_row = _layer(connection, path)
         cells, notes = _cells(connection, column, path)
         computed = _computed(connection)
-    edited = sorted(map(_content, cells)) != sorted(map(_content, computed))
+    edited = _differ(cells, computed)
     cells = _known(cells, photos, {cell.photo for cell in computed}, notes, path)
     target = CRS.from_wkt(crs_wkt)
     source = _source_crs(srs_row, path)
@@ -160,6 +160,24 @@ def read_seams(path: Path, *, photos: Collection[str], crs_wkt: str) -> Seams:
     seams, told = mend(cells, known, metres=metres_per_unit(target))
     notes = [f"{path.name}: {note}" for note in (*notes, *told)]
     return Seams(cells=tuple(seams), edited=edited, notes=tuple(notes))
+
+
+def is_edited(path: Path) -> bool:
+    """Whether the layer differs from what was written, or cannot be compared; False if none."""
+    if not path.is_file():
+        return False
+    try:
+        with _refusals(path), _open(path) as connection:
+            column, _ = _layer(connection, path)
+            cells, _ = _cells(connection, column, path)
+            return _differ(cells, _computed(connection))
+    except InputError:
+        # who uses it says what is wrong
+        return True
+
+
+def _differ(cells: Sequence[Cell], computed: Sequence[Cell]) -> bool:
+    return sorted(map(_content, cells)) != sorted(map(_content, computed))
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,7 +111,7 @@ class ControlPoints(Algorithm[p.Parameters]):
     in_run = True
     uses_quick = True
     uses_settings = ("control", "ground", "project")
-    version = "3"
+    version = "4"
 
     def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
         """Points and marks."""
@@ -144,7 +144,8 @@ class ControlPoints(Algorithm[p.Parameters]):
             "check_points": roles.count("check"),
             "marks": len(loaded.control.marks),
         }
-        return Result(summary=summary | _compared(site, loaded))
+        used = (project.database.meta("adjustment") or {}).get("control_points", [])
+        return Result(summary=summary | _compared(site, loaded, used))
 
 
 def _point_rows(loaded: LoadedControl, frame: MapFrame) -> list[dict[str, Any]]:
@@ -231,11 +232,12 @@ def _save(project: Project, points: list[dict[str, Any]], marks: list[dict[str, 
         project.database.replace_rows("mark", marks)
 
 
-def _compared(site: Site, loaded: LoadedControl) -> dict[str, Any]:
+def _compared(site: Site, loaded: LoadedControl, used: Collection[str]) -> dict[str, Any]:
     """How far the good marks land from the surveyed places, and what was to be expected.
 
     Of points that are not off. A mark that was called wrong does not count, though one of a check
-    point stays for the accuracy statement: it tells of a click, not of the poses.
+    point stays for the accuracy statement: it tells of a click, not of the poses. `used` names the
+    points that the photos were adjusted to: what is expected holds for marks of others.
     """
     import numpy as np
 
@@ -248,6 +250,11 @@ def _compared(site: Site, loaded: LoadedControl) -> dict[str, Any]:
     landed = [_landed(site, o, k) for k in good]
     found = [one for one in landed if one is not None]
     told = {"wrong_marks": len(asked) - len(good)}
+    held = [
+        k for k, one in zip(good, landed, strict=True)
+        if one is not None and o.names[o.point[k]] in used
+        and site.photos[o.photo_ids[k]].pose.kind == "adjusted"
+    ]  # fmt: skip
     if not found:
         return told
     rms = np.sqrt(np.mean([off**2 for off, _ in found], axis=0))
@@ -255,6 +262,7 @@ def _compared(site: Site, loaded: LoadedControl) -> dict[str, Any]:
     return {
         "compared": len(found),
         **told,
+        "marks_adjusted_to": len(held),
         "rms_east_m": round(float(rms[0]), 3),
         "rms_north_m": round(float(rms[1]), 3),
         "expected_sigma_east_m": round(float(expected[0]), 3),

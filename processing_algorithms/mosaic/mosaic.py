@@ -72,7 +72,10 @@ class MosaicTool(Algorithm[MosaicParameters]):
     """
 
     id, name, group = "mosaic", "Mosaic", "mosaic"
-    outputs = (Output(name="mosaic", title="Mosaic", type="RasterLayer"),)
+    outputs = (
+        Output(name="mosaic", title="Mosaic", type="RasterLayer"),
+        Output(name="seams", title="Seams, to be edited", type="VectorLayer"),
+    )
     needs, gives = ("footprints",), ("mosaic",)
     in_run = True
     first_answer = True
@@ -81,13 +84,17 @@ class MosaicTool(Algorithm[MosaicParameters]):
 
     def inputs(self, context: Context, parameters: MosaicParameters) -> Sequence[Path]:
         """The photos' pixels, and the seams where a user may have edited them."""
+        from georef_gis.project.seam_layer import SEAMS_FILE, is_edited
+
         project = context.require_project()
-        seams = project.folder / "seams.gpkg"
-        return [*project.photo_files(), *([seams] if seams.exists() else [])]
+        seams = project.folder / SEAMS_FILE
+        # the tool's own seams are a product; edited ones are what it works from
+        return [*project.photo_files(), *([seams] if is_edited(seams) else [])]
 
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
         from georef_gis.errors import GeometryError
+        from georef_gis.project.seam_layer import SEAMS_FILE
         from georef_gis.rasters.reading import count_valid
         from georef_gis.rasters.space import check_room
         from georef_gis.rasters.warp import ImageCache, one_thread_each
@@ -148,7 +155,10 @@ class MosaicTool(Algorithm[MosaicParameters]):
         project.database.set_meta(
             mosaic={"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
         )
-        return Result(outputs={"mosaic": target}, summary=summary)
+        outputs = {"mosaic": target}
+        if ready.told["seams"] != "none":
+            outputs["seams"] = project.folder / SEAMS_FILE
+        return Result(outputs=outputs, summary=summary)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -31,6 +31,8 @@ from processing_algorithms.site import Site, ground_facts
 
 REPORT = "report.json"
 ADJUSTED = "adjusted"
+# values that were weighed down and are told one by one
+MOST_DOUBTED = 8
 _COMPONENTS = ("east", "north", "height", "angle about east", "angle about north", "heading")
 
 
@@ -262,6 +264,8 @@ def _lone_lines(adjusted: Adjusted) -> list[str]:
     if not lone:
         return []
     some = ", ".join(lone[:5]) + (" ..." if len(lone) > 5 else "")
+    if len(lone) == 1:
+        return [f"1 photo is not connected and keeps its direct pose: {some}"]
     return [f"{len(lone)} photos are not connected and keep their direct pose: {some}"]
 
 
@@ -274,8 +278,11 @@ def _doubted_lines(adjusted: Adjusted) -> list[str]:
         "its flight and was weighed down"
         for (i, c), s in sorted(worst.items(), key=lambda item: -item[1])
     ]
-    if len(lines) > 8:
-        lines = [*lines[:8], f"... and {len(lines) - 8} more values were weighed down"]
+    more = len(lines) - MOST_DOUBTED
+    if more > 0:
+        words = "1 more value was" if more == 1 else f"{more} more values were"
+        told = f"... and {words} weighed down: all are in adjustment/{REPORT}, weighed_down"
+        lines = [*lines[:MOST_DOUBTED], told]
     return lines
 
 

@@ -167,7 +167,10 @@ def prepare(
     sigma = math.hypot(site.terrain.sigma, relief)
     measured = isinstance(site.terrain, DemTerrain) and not isinstance(site.terrain, TinTerrain)
     ground = GroundPrior(
-        z_enu=first[: observed.n_points, 2], sigma=sigma,
+        z_enu=first[: observed.n_points, 2],
+        # relief is alike in few places, the level of a ground that nobody measured in all
+        sigma=sigma if measured else relief,
+        sigma_offset=0.0 if measured else site.terrain.sigma,
         surface=site.terrain.z_at if measured else None,
         sigma_surface=site.terrain.sigma,
         # a height datum may be taken for another: heights of flight hold it as without the surface

@@ -36,6 +36,7 @@ class OrientDirect(Algorithm[p.Parameters]):
     needs, gives = ("photos",), ("poses",)
     in_run = True
     uses_settings = ("gnss", "attitude", "ground", "mount")
+    version = "2"
 
     def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
         """The DEM."""

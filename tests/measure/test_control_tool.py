@@ -80,6 +80,10 @@ def test_summary_of_the_comparison_reads_well() -> None:
     }  # fmt: skip
     (line,) = _control_lines(json.loads(json.dumps(summary)))
     assert line.startswith("points 3 marks lie off by 1.23 m east, 50.00 cm north (rms)")
+    assert "2.00 m was to be expected of a mark that one photo lays on the ground" in line
     assert "wrong" not in line
+    assert "held the photos" not in line
+    (line,) = _control_lines({**summary, "marks_adjusted_to": 2})
+    assert line.endswith("; 2 of them held the photos when they were adjusted")
     (line,) = _control_lines({**summary, "wrong_marks": 2})
     assert line.endswith("; 2 more are called wrong and do not count")

@@ -89,6 +89,23 @@ def test_findings_come_worst_first_and_link_to_their_figures() -> None:
     assert "#s-4" not in findings
 
 
+def test_a_refused_adjustment_heads_the_findings_with_its_reason() -> None:
+    why = ["height above ground 61 m DOES NOT AGREE with 34 +- 3 m", "the direct result stays"]
+    run = {"tool": "georef:adjust", "outcome": "done", "summary": {"used": False, "doubts": why},
+           "message": None, "warnings": why, "fid": 1, "started": "2026", "duration_s": 1.0,
+           "parameters": None, "versions": None}  # fmt: skip
+    # a doubtful photo of two makes the summary "bad", which comes earlier on the page
+    text = page_of(project_facts(2, runs=[run], doubtful={"P001": ["blurred"]}))
+    findings = text.split('id="findings"')[1].split("</section>")[0]
+    first = findings.split("<li")[1]
+    assert 'class="bad"' in first
+    assert "No adjustment" in first
+    assert "61 m DOES NOT AGREE with 34 +- 3 m" in first
+    assert "Summary" in findings.split("<li")[2]
+    key = first.split('href="#')[1].split('"')[0]
+    assert f'id="{key}"' in text
+
+
 def test_long_lists_of_warnings_are_counted() -> None:
     lines = Lines(title="W", lines=tuple(f"w{i}" for i in range(100)), most=25)
     text = render("T", [], [Section(id="s", title="S", items=[lines])])

@@ -26,7 +26,7 @@ from georef_gis.measure.report.control_section import accuracy_items, control_it
 from georef_gis.measure.report.draw import metres, number, round_length
 from georef_gis.measure.report.facts import Accuracy, Facts, Heights
 from georef_gis.measure.report.ground_section import ground_items, hillshade
-from georef_gis.measure.report.page import Item, Lines, Picture, Table, Verdict
+from georef_gis.measure.report.page import Item, Lines, Picture, Table, Text, Verdict
 from georef_gis.measure.report.residual_pictures import (
     by_photo,
     by_place,
@@ -44,7 +44,9 @@ from georef_gis.rasters.preview import Preview
 
 def verdict(items: list[Item], title: str) -> Verdict:
     """Verdict of the item whose title begins so."""
-    found = [i for i in items if isinstance(i, Picture | Table) and i.title.startswith(title)]
+    found = [
+        i for i in items if isinstance(i, Picture | Table | Text) and i.title.startswith(title)
+    ]
     assert found, title
     assert found[0].verdict is not None
     return found[0].verdict
@@ -247,6 +249,36 @@ def test_an_adjustment_that_was_not_used_says_so() -> None:
     run = {"tool": "georef:adjust", "outcome": "done", "summary": {"used": False}, "message": ""}
     (text,) = adjustment_items(project_facts(runs=[run]))
     assert "was not used" in str(text)
+    assert verdict([text], "No adjustment").level == "bad"
+
+
+def test_photos_that_are_not_adjusted_ask_for_a_look_and_quick_ones_do_not() -> None:
+    (never,) = adjustment_items(project_facts())
+    assert verdict([never], "No adjustment").level == "look"
+    assert "1.41 m" in verdict([never], "No adjustment").text
+    (match,) = adjustment_items(
+        project_facts(runs=[{"tool": "georef:match", "outcome": "failed", "message": "no disk"}])
+    )
+    assert "no disk" in verdict([match], "No adjustment").text
+    for facts in (project_facts(quick=True), project_facts(1)):
+        assert verdict(adjustment_items(facts), "No adjustment").level == "told"
+
+
+def test_a_whole_mosaic_of_photos_that_are_not_adjusted_is_not_fine() -> None:
+    mosaic = Preview(
+        values=np.full((60, 140, 3), 200, np.uint8), valid=np.ones((60, 140), bool),
+        transform=(1.0, 0.0, 300000.0, 0.0, -1.0, 4400000.0),
+    )  # fmt: skip
+    covered: dict[str, Any] = {
+        "tool": "georef:footprints", "summary": {"covered_m2": 8400.0}, "outcome": "done",
+        "warnings": [], "message": None, "fid": 1,
+    }  # fmt: skip
+    alone = replace(project_facts(runs=[covered]), mosaic=mosaic)
+    told = verdict(summary_section(alone).items, "Map")
+    assert told.level == "look"
+    assert "at the seams" in told.text
+    joined = replace(adjusted_facts(), runs=[covered], mosaic=mosaic)
+    assert verdict(summary_section(joined).items, "Map").level == "fine"
 
 
 def test_turns_leave_out_what_an_editor_turned() -> None:

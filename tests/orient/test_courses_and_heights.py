@@ -115,10 +115,11 @@ def test_the_users_height_above_ground_goes_first() -> None:
 
 
 def test_the_users_height_holds_where_no_tag_has_a_known_height() -> None:
-    photos = flown([100.0, 110.0], UNKNOWN, [None, None])
+    photos = flown([100.0, 110.0, None], UNKNOWN, [None, None, None])
     found = solve_heights(photos, tags.SITE, GroundSetting(height_above_ground=60.0, sigma=1.0))
     n = float(geoid_undulation(tags.SITE.lat, tags.SITE.lon))
-    assert list(found.cameras.values()) == pytest.approx([105.0 + n] * 2, abs=1e-6)
+    expected = [100.0 + n, 110.0 + n, 105.0 + n]
+    assert list(found.cameras.values()) == pytest.approx(expected, abs=1e-6)
     assert found.terrain.z_at([0, 0]) == pytest.approx(105.0 + n - 60.0 - 277.6, abs=1e-3)
 
 

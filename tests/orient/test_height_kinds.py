@@ -98,12 +98,101 @@ def test_sigma_of_the_tags_or_the_user_is_that_of_the_level() -> None:
 
 
 def test_height_given_by_the_user_says_nothing_of_the_level() -> None:
+    """One sigma of 5 m in all: what three photos have in common is with the level."""
     ground = GroundSetting(height_above_ground=60.0)
     known = solve_heights(flown(ELLIPSOIDAL, above=None), tags.SITE, ground)
-    assert known.sigma_shared == pytest.approx(SIGMA_GNSS_HEIGHT)
+    assert known.sigma["P0"] == pytest.approx(SIGMA_GNSS_HEIGHT * math.sqrt(2 / 3))
+    assert known.sigma_shared == pytest.approx(SIGMA_GNSS_HEIGHT * math.sqrt(1 / 3))
     unknown = solve_heights(flown(UNKNOWN, above=None), tags.SITE, ground)
-    assert unknown.sigma_shared == pytest.approx(math.hypot(SIGMA_GNSS_HEIGHT, N / 2))
-    assert unknown.sigma["P0"] == known.sigma["P0"] == SIGMA_RELATIVE_HEIGHT
+    assert unknown.sigma == known.sigma
+    assert unknown.sigma_shared == pytest.approx(math.hypot(known.sigma_shared, N / 2))
+
+
+@pytest.mark.parametrize("kind", [ELLIPSOIDAL, UNKNOWN])
+def test_under_a_stated_height_the_tags_keep_their_differences(kind: HeightKind) -> None:
+    """Flown at 55, 60 and 85 m: 60 m is the usual height, not that of every photo."""
+    photos = [
+        tags.photo(f"P{i}", geotag=tags.geotag(20.0 * i, 0, 280.0 + above, kind))
+        for i, above in enumerate((55.0, 60.0, 85.0))
+    ]
+    heights = solve_heights(photos, tags.SITE, GroundSetting(height_above_ground=60.0))
+    assert isinstance(heights.terrain, FlatTerrain)
+    above = [h - heights.terrain.height_ellipsoidal for h in heights.cameras.values()]
+    assert above == pytest.approx([55.0, 60.0, 85.0], abs=1e-9)
+    assert not heights.photo_doubts
+
+
+def test_under_a_stated_height_the_receivers_sigma_is_that_of_each_photo() -> None:
+    ground = GroundSetting(height_above_ground=60.0)
+    by_tag = solve_heights(flown(ELLIPSOIDAL, above=None, sigma_v=3.0), tags.SITE, ground)
+    assert by_tag.sigma["P0"] == pytest.approx(3.0 * math.sqrt(2 / 3))
+    photos = flown(ELLIPSOIDAL, above=None)
+    by_user = solve_heights(photos, tags.SITE, ground, sigma_v=20.0)
+    pose = posed(photos, by_user)[0]
+    assert pose.sigma_height == pytest.approx(20.0)
+    assert by_user.sigma["P0"] == pytest.approx(20.0 * math.sqrt(2 / 3))
+
+
+def test_the_sigma_of_a_stated_height_is_that_of_the_ground_below() -> None:
+    for above, sigma in ((20.0, 2.0), (60.0, 3.0)):
+        ground = GroundSetting(height_above_ground=above)
+        heights = solve_heights(flown(ELLIPSOIDAL, above=None), tags.SITE, ground)
+        assert heights.terrain.sigma == pytest.approx(sigma)
+
+
+def test_under_a_stated_height_only_a_photo_without_any_height_takes_it() -> None:
+    photos = flown(ELLIPSOIDAL, 350.0, None)
+    lost = tags.photo("lost", geotag=tags.geotag(60.0, 0, None))
+    ground = GroundSetting(height_above_ground=70.0)
+    heights = solve_heights([*photos, lost], tags.SITE, ground)
+    assert heights.cameras["lost"] == pytest.approx(350.0)
+    assert heights.sigma["lost"] == pytest.approx(3.5 * math.sqrt(3 / 4))
+    alone = solve_heights([lost], tags.SITE, ground)
+    assert alone.cameras["lost"] == pytest.approx(70.0)
+    assert alone.sigma["lost"] == SIGMA_RELATIVE_HEIGHT
+
+
+def test_under_a_stated_height_the_barometer_gives_the_shape() -> None:
+    """Heights above take-off on a hill: their differences hold, their zero does not."""
+    photos = [
+        tags.photo(f"P{i}", geotag=tags.geotag(20.0 * i, 0, h), height_above_takeoff=r)
+        for i, (h, r) in enumerate(((337.0, 20.0), (341.0, 21.0), (345.0, 22.0)))
+    ]
+    heights = solve_heights(photos, tags.SITE, GroundSetting(height_above_ground=60.0))
+    assert heights.cameras == pytest.approx({"P0": 340.0, "P1": 341.0, "P2": 342.0})
+    assert set(heights.sigma.values()) == {SIGMA_RELATIVE_HEIGHT}
+    assert heights.sigma_shared == pytest.approx(SIGMA_GNSS_HEIGHT)
+
+
+def test_a_height_far_from_the_stated_one_is_doubtful() -> None:
+    photos = flown(ELLIPSOIDAL, above=None)
+    high = tags.photo("high", geotag=tags.geotag(60.0, 0, 437.6))
+    heights = solve_heights([*photos, high], tags.SITE, GroundSetting(height_above_ground=60.0))
+    assert set(heights.photo_doubts) == {"high"}
+    assert "160 m" in heights.photo_doubts["high"]
+
+
+def test_errors_of_200_flights_fit_a_stated_height() -> None:
+    """Error/sigma over the ellipsoid and the ground: a receiver with white and slow errors."""
+    rng = np.random.default_rng(41)
+    absolute, relative = [], []
+    flying = np.array([55.0, 58.0, 60.0, 60.0, 63.0, 85.0])
+    for _ in range(200):
+        error = rng.normal(0, 2.0) + rng.normal(0, 1.5, 6)
+        stated = 60.0 + rng.normal(0, 3.0)
+        photos = [
+            tags.photo(f"P{i}", geotag=tags.geotag(20.0 * i, 0, 280.0 + h, sigma_v=2.5))
+            for i, h in enumerate(flying + error)
+        ]
+        heights = solve_heights(photos, tags.SITE, GroundSetting(height_above_ground=stated))
+        assert isinstance(heights.terrain, FlatTerrain)
+        own = np.array(list(heights.sigma.values()))
+        z = np.array(list(heights.cameras.values()))
+        absolute.append((z - 280.0 - flying) / np.hypot(own, heights.sigma_shared))
+        off = z - heights.terrain.height_ellipsoidal - flying
+        relative.append(off / np.hypot(own, heights.terrain.sigma))
+    assert 0.7 < np.sqrt(np.mean(np.square(absolute))) < 1.4
+    assert 0.7 < np.sqrt(np.mean(np.square(relative))) < 1.4
 
 
 def test_over_ground_of_known_height_nothing_is_shared() -> None:

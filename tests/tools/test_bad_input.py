@@ -266,7 +266,11 @@ def test_dem_elsewhere(site: Site) -> None:
     (site.folder / "dem.asc").write_text(text.replace("xllcorner 545890.0", "xllcorner 645890.0"))
     done = site.run(*STEPS)
     assert done.code == 2
-    done.line("dem.asc", "does not lie under the photos", "CRS")
+    line = done.line("dem.asc", "does not lie under the photos", "CRS")
+    assert "[ground] dem" in line
+    # the site, and a place 100 km east of it
+    assert "39.09" in line.split("photos, at")[1]
+    assert "-79.3" in line.split("photos, at")[0]
 
 
 def dem_rows(site: Site) -> tuple[list[str], list[list[str]]]:

@@ -24,7 +24,8 @@ from georef_gis.measure.report.draw import (
     with_grid,
 )
 from georef_gis.measure.report.facts import Facts
-from georef_gis.measure.report.page import Item, Picture, Table, Text, judged
+from georef_gis.measure.report.not_adjusted import not_adjusted_item
+from georef_gis.measure.report.page import Item, Picture, Table, judged
 
 # rows of the table of photos; the rest is in adjustment/report.json
 MOST_PHOTOS = 400
@@ -35,7 +36,7 @@ WITHIN = 0.85
 def adjustment_items(facts: Facts) -> list[Item]:
     """Key figures, checks, photos; or why there are none."""
     if facts.adjustment is None:
-        return [Text(lines=(_why_not(facts),))]
+        return [not_adjusted_item(facts)]
     report = facts.adjustment.report
     items: list[Item] = [_key_figures(report), _checks(report)]
     items.append(_photos(facts, report))
@@ -52,22 +53,6 @@ def adjustment_items(facts: Facts) -> list[Item]:
             )
         )  # fmt: skip
     return items
-
-
-def _why_not(facts: Facts) -> str:
-    if facts.quick:
-        return "A quick run stops at the direct result: nothing is adjusted."
-    run = facts.run_of("adjust")
-    if run is None:
-        return "The photos were not adjusted to each other: all poses are direct ones."
-    if run["outcome"] != "done":
-        return (
-            f"The last adjustment {run['outcome']} ({run['message']}): all poses are direct ones."
-        )
-    return (
-        "The last adjustment was not used; its reasons stand among the warnings above. All poses "
-        "are direct ones."
-    )
 
 
 def _key_figures(report: Mapping[str, Any]) -> Table:

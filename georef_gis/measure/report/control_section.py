@@ -214,7 +214,11 @@ def _on_ground(summary: Mapping[str, Any]) -> Table:
     rows = [
         ("Marks compared", str(summary["compared"])),
         ("Rms east / north", f"{metres(east)} / {metres(north)}"),
-        ("Expected by the poses' sigmas", metres(expected)),
+        ("Expected of one photo, by its sigmas", metres(expected)),
+        (
+            "... of points that the photos were adjusted to",
+            str(summary.get("marks_adjusted_to", 0)),
+        ),
     ]
     return Table(
         title="Single marks laid on the ground", columns=("What", "Value"), rows=rows, words=(0, 1),

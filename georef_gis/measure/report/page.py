@@ -24,12 +24,13 @@ class Verdict:
     """What was found in a figure: `level` and one sentence with its numbers.
 
     `again` is set where another figure of the page was judged by the same numbers: then it stands
-    below its figure but is neither listed nor counted at the top.
+    below its figure but is neither listed nor counted at the top. `first` heads the list there.
     """
 
     level: Level
     text: str
     again: bool = False
+    first: bool = False
 
 
 def judged(text: str, *, fine: bool, bad: bool = False) -> Verdict:
@@ -79,9 +80,11 @@ class Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Text:
-    """Paragraphs."""
+    """Paragraphs; one that is judged has a title."""
 
     lines: tuple[str, ...]
+    title: str = ""
+    verdict: Verdict | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +150,7 @@ def count_verdicts(sections: Sequence[Section]) -> dict[str, int]:
     out = {"fine": 0, "look": 0, "bad": 0}
     for section in sections:
         for item in section.items:
-            verdict = item.verdict if isinstance(item, Picture | Table) else None
+            verdict = item.verdict if isinstance(item, Picture | Table | Text) else None
             if verdict is not None and not verdict.again and verdict.level in out:
                 out[verdict.level] += 1
     return out
@@ -164,20 +167,21 @@ def _contents(sections: Sequence[Section]) -> str:
 
 
 def _findings(items: Iterable[tuple[str, Item]]) -> str:
-    """What the page found, the worst first, with links."""
+    """What the page found, the worst after what comes first of all, with links."""
     weighed = [
         (key, item.title, item.verdict)
         for key, item in items
-        if isinstance(item, Picture | Table) and item.verdict is not None
+        if isinstance(item, Picture | Table | Text) and item.verdict is not None
         if item.verdict.level != "told" and not item.verdict.again
     ]
     fine = sum(v.level == "fine" for _, _, v in weighed)
+    rank = {"bad": 1, "look": 2}
+    asking = [one for one in weighed if one[2].level in rank]
+    asking.sort(key=lambda one: 0 if one[2].first else rank[one[2].level])
     lines = [
         f'<li class="{v.level}"><span class="sign">{_SIGN[v.level]}</span> '
         f'<a href="#{key}">{escape(title)}</a>: {escape(v.text)}</li>'
-        for level in ("bad", "look")
-        for key, title, v in weighed
-        if v.level == level
+        for key, title, v in asking
     ]
     told = f"{fine} of {len(weighed)} figures and tables that were judged are fine."
     if lines:
@@ -194,13 +198,23 @@ def _item(key: str, item: Item) -> str:
     if isinstance(item, Table):
         return _table(key, item)
     if isinstance(item, Text):
-        return "".join(f"<p>{escape(line)}</p>" for line in item.lines)
+        return _text(key, item)
     if isinstance(item, Letter):
         return f"<h3>{escape(item.title)}</h3><pre>{escape(item.text)}</pre>"
     shown = "".join(f"<li>{escape(line)}</li>" for line in item.lines[: item.most])
     more = len(item.lines) - item.most
     shown += f"<li>... and {more} more, in the table `run` of georef.gpkg</li>" if more > 0 else ""
     return f"<h3>{escape(item.title)}</h3><ul>{shown}</ul>"
+
+
+def _text(key: str, item: Text) -> str:
+    lines = "".join(f"<p>{escape(line)}</p>" for line in item.lines)
+    if item.verdict is None:
+        return lines
+    told = _told("", item.verdict)
+    return (
+        f'<div id="{key}"><h3>{escape(item.title)}</h3>{lines}<p class="caption">{told}</p></div>'
+    )
 
 
 def _told(look: str, verdict: Verdict | None) -> str:

@@ -25,6 +25,7 @@ from georef_gis.measure.report.draw import (
     scale_and_north,
 )
 from georef_gis.measure.report.facts import DONE, Facts
+from georef_gis.measure.report.not_adjusted import apart
 from georef_gis.measure.report.page import (
     Item,
     Lines,
@@ -193,8 +194,12 @@ def _mosaic_verdict(facts: Facts, rings: dict[str, Array], north: str) -> Verdic
     if not covered:
         return Verdict(level="told", text=f"The mosaic shows {area(shown)}; {north}.")
     share = shown / covered
-    told = f"the mosaic fills {min(share, 1.0):.0%} of the ground that the photos cover; {north}."
-    return judged(told, fine=share > 0.97, bad=share < 0.9)
+    told = f"the mosaic fills {min(share, 1.0):.0%} of the ground that the photos cover"
+    joined = facts.adjustment is not None or len(facts.footprints) < 2
+    if not joined:
+        told += "; its photos are placed one by one, not adjusted to each other: expect breaks of "
+        told += f"some {metres(apart(facts))} at the seams"
+    return judged(f"{told}; {north}.", fine=share > 0.97 and joined, bad=share < 0.9)
 
 
 # -- overlap -----------------------------------------------------------------------------------

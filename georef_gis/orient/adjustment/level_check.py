@@ -41,7 +41,8 @@ def free_contradicted_height(problem: Problem, solution: Solution) -> None:
         sigma.append(float(np.hypot(np.sqrt(pose.covariance[2, 2]), OF_HEIGHT * expected)))
     if not off:
         return
-    whole = float(np.hypot(np.median(sigma), np.median(ground.sigma)))
+    parts = [np.median(sigma), np.median(ground.sigma), ground.sigma_offset]
+    whole = float(np.linalg.norm(parts))
     if abs(float(np.median(off))) > REFUSED * whole:
         problem.know_ground(replace(ground, sigma_offset=FREE, sigma_free=FREE))
 
