@@ -74,12 +74,23 @@ class Survey:
     extent: Extent | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeamFinding:
+    """How far photos lie apart at the mosaic's seams, m, at places where that could be told."""
+
+    places: int
+    accepted: int
+    median: float
+    p90: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccuracyReport:
     """Assessments of one site with what the statement has to tell of their making.
 
     `untested` names check points that could not be read, with the reason. `distances` are lengths
-    on the map and one sigma of a distance of that length by the adjustment, m.
+    on the map and one sigma of a distance of that length by the adjustment, m. `seams` is what was
+    measured of the mosaic's.
     """
 
     title: str
@@ -88,6 +99,7 @@ class AccuracyReport:
     untested: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     distances: tuple[tuple[float, float], ...] = ()
+    seams: SeamFinding | None = None
 
     @property
     def main(self) -> Assessment:
@@ -242,7 +254,16 @@ def _control_line(report: AccuracyReport) -> str:
 def _seam_line(report: AccuracyReport) -> str:
     limit = _seam_limit(report)
     told = "not known" if limit is None else f"{_cm(limit)} cm"
-    return f"Seam mismatch of the mosaic: limit 2 x RMSE_H = {told}; found: ____ (not measured)."
+    line = f"Seam mismatch of the mosaic: limit 2 x RMSE_H = {told}; found: "
+    found = report.seams
+    if found is None:
+        return f"{line}____ (not measured)."
+    meets = _seams_meet(report)
+    verdict = "" if meets is None else ", met" if meets else ", NOT met"
+    return (
+        f"{line}{_cm(found.p90)} cm at the 90th percentile, {_cm(found.median)} cm in the median, "
+        f"of {found.accepted} places where photos could be compared (of {found.places}){verdict}."
+    )
 
 
 def _distance_lines(report: AccuracyReport) -> Iterator[str]:
@@ -279,7 +300,13 @@ def statement_json(report: AccuracyReport) -> dict[str, Any]:
             else {**asdict(spread), "even": spread.is_even, "spaced": spread.is_spaced},
             "flags": [asdict(flag) for flag in flags["survey"]],
         },
-        "seam_mismatch": {"limit_m": _seam_limit(report), "found_m": None, "meets": None},
+        "seam_mismatch": {
+            "limit_m": _seam_limit(report),
+            "found_m": report.seams.p90 if report.seams else None,
+            "median_m": report.seams.median if report.seams else None,
+            "places": report.seams.accepted if report.seams else 0,
+            "meets": _seams_meet(report),
+        },
         "distances": [{"length_m": a, "sigma_m": sigma} for a, sigma in report.distances],
         "untested": dict(report.untested),
         "notes": list(report.notes),
@@ -364,6 +391,12 @@ def _seam_limit(report: AccuracyReport) -> float | None:
     """Twice the horizontal class, m; None where there is none."""
     class_m = report.main.component("H").class_m
     return None if class_m is None else SEAM * class_m
+
+
+def _seams_meet(report: AccuracyReport) -> bool | None:
+    """Whether nine of ten places lie within the limit; None where one of the two is not known."""
+    limit = _seam_limit(report)
+    return None if limit is None or report.seams is None else report.seams.p90 <= limit
 
 
 def _cm(metres: float) -> str:

@@ -21,6 +21,7 @@ from georef_gis.model.mesh import Ground
 from georef_gis.model.photo import Photo
 from georef_gis.model.plan import TileTask
 from georef_gis.mosaic.nadir import MosaicSource, NadirMosaic
+from georef_gis.mosaic.seam_mismatch import MismatchProbe
 from georef_gis.mosaic.seamed import ColourField, SeamMosaic, Seams
 from georef_gis.rasters.reading import decode_image, read_image
 from georef_gis.rasters.warp import Image, ImageCache, Mask
@@ -53,7 +54,9 @@ class MosaicJob:
     seams: Seams | None = None
     field: ColourField | None = None
 
-    def open(self, read: Read, broken: list[str]) -> NadirMosaic | SeamMosaic:
+    def open(
+        self, read: Read, broken: list[str], probe: MismatchProbe | None = None
+    ) -> NadirMosaic | SeamMosaic:
         """Who makes the tiles; `broken` takes the messages of photos that cannot be read."""
         read = checked_reader(read, self.kind)
         if self.seams is None:
@@ -63,7 +66,7 @@ class MosaicJob:
             )
         return SeamMosaic(
             self.sources, self.ground, self.grid, seams=self.seams, field=self.field, read=read,
-            broken=broken,
+            broken=broken, probe=probe,
         )  # fmt: skip
 
 
@@ -237,14 +240,14 @@ def read_job(path: Path) -> tuple[MosaicJob, tuple[TileTask, ...], PhotoRoot]:
             theirs = file.readline().decode().rstrip("\n")
             if theirs != stamp():
                 raise InputError(
-                    f"a worker has {stamp()} where the mosaic is made with {theirs}; "
+                    f"the worker has {stamp()} where the mosaic is made with {theirs}; "
                     "install the same versions on all machines"
                 )
             with zstandard.ZstdDecompressor().stream_reader(file) as packed:
                 found: tuple[MosaicJob, tuple[TileTask, ...], PhotoRoot] = pickle.load(packed)
     except OSError as error:
         raise InputError(
-            f"a worker does not see {path} ({error.strerror}); put the project on a folder that "
+            f"the worker does not see {path} ({error.strerror}); put the project on a folder that "
             "all machines share under one path"
         ) from error
     return found
@@ -276,7 +279,7 @@ def _check_photos(job: MosaicJob, photos: PhotoRoot) -> None:
     first = photos.place(job.sources[0].photo.photo.path)
     if "://" not in first and not Path(first).parent.is_dir():
         raise InputError(
-            f"a worker does not see the photos' folder {Path(first).parent}; share it under this "
+            f"the worker does not see the photos' folder {Path(first).parent}; share it under this "
             "path, or say by photos_root where workers find it"
         )
 

@@ -22,6 +22,7 @@ from georef_gis.mosaic.colour_field import Knots, Lattice, gain_at, value_range
 from georef_gis.mosaic.low_blend import LowBlend, low_of
 from georef_gis.mosaic.nadir import MosaicSource
 from georef_gis.mosaic.proxies import PhotoColour
+from georef_gis.mosaic.seam_mismatch import MismatchProbe, grey
 from georef_gis.mosaic.tile_layer import Layer, Paint, TileGround
 from georef_gis.rasters.warp import Image, Key, Mask, blocks
 
@@ -88,6 +89,8 @@ class SeamMosaic:
         `read(path, reduce) -> image` (rows, cols, bands), as a rule from a cache.
     broken
         Takes the errors of photos that could not be read: others fill their cells.
+    probe
+        Measures how photos meet at the seams, while they are at hand.
     """
 
     def __init__(
@@ -100,7 +103,9 @@ class SeamMosaic:
         field: ColourField | None,
         read: Callable[[Path, int], Image],
         broken: list[str],
+        probe: MismatchProbe | None = None,
     ) -> None:
+        self._probe = probe
         self._sources = tuple(sources)
         self._label = {source.photo.id: k for k, source in enumerate(self._sources)}
         self._ground, self._grid = ground, grid
@@ -131,7 +136,31 @@ class SeamMosaic:
                 tile.take(layer, weight, partial(self._paint, label, layer, ground))
         if not tile.whole:
             self._fill(tile, sketch.task, ground, set(weights))
+        if self._probe is not None and len(weights) > 1:
+            self._probe.measure(window, self._square)
         return tile.result()
+
+    def _square(self, label: int, window: Window) -> Values | None:
+        """Grey values of a photo over a square; None where it does not show all of it."""
+        tile = TileGround(self._ground, self._grid, window, Lattice.around(window, 16), knots=None)
+        source = self._sources[label]
+        layer = None if label in self._lost else Layer.of(source, tile)
+        if layer is None:
+            return None
+        whole = (slice(0, window.height), slice(0, window.width))
+        mesh = (slice(None), slice(None))
+        uv = layer.uv(whole, mesh, (window.height, window.width))
+        if layer.inside(uv, mesh) is not None:
+            return None
+        paint = self._paint(label, layer, tile)
+        if paint is None:
+            return None
+        image = paint.image
+        out = np.empty((window.height, window.width, image.shape[2]), image.dtype)
+        paint.values(uv, whole, out)
+        high = value_range(image.dtype)[1]
+        scale = high if np.isfinite(high) else float(np.max(np.abs(out), initial=1e-6))
+        return grey(out, scale)
 
     def _tile_ground(self, window: Window) -> TileGround:
         field = self._field

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from georef_gis.frames import Array
     from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets
     from georef_gis.measure.accuracy_mosaic import MarkedPhoto, MosaicPlace, MosaicReader
-    from georef_gis.measure.accuracy_statement import Survey
+    from georef_gis.measure.accuracy_statement import SeamFinding, Survey
     from georef_gis.model.intersection import Intersection, JointCovariance
     from georef_gis.project import Project
     from processing_algorithms.site import Site
@@ -95,6 +95,7 @@ class Accuracy(Algorithm[AccuracyParameters]):
             untested=untested,
             notes=points.notes,
             distances=distances(project, site),
+            seams=_seams(project),
         )
         feedback.progress(0.9, "measured")
         check_cancelled(feedback)
@@ -106,6 +107,19 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
 
 # -- a project -----------------------------------------------------------------------------------
+
+
+def _seams(project: Project) -> SeamFinding | None:
+    """What the mosaic measured of its seams."""
+    from georef_gis.measure.accuracy_statement import SeamFinding
+
+    found = (project.database.meta("mosaic") or {}).get("seam_mismatch") or {}
+    if not found.get("accepted"):
+        return None
+    return SeamFinding(
+        places=int(found["places"]), accepted=int(found["accepted"]),
+        median=float(found["median_m"]), p90=float(found["p90_m"]),
+    )  # fmt: skip
 
 
 class _Points:

@@ -14,6 +14,7 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     from georef_gis.model.plan import Plan
     from georef_gis.mosaic.job import MosaicJob
+    from georef_gis.mosaic.seam_mismatch import MismatchProbe
     from georef_gis.rasters.warp import Image, ImageCache
     from processing_algorithms.mosaic.cluster import Cluster
     from processing_algorithms.mosaic.inputs import Inputs
@@ -141,7 +142,7 @@ class MosaicTool(Algorithm[MosaicParameters]):
         doubts = list(dict.fromkeys([*inputs.refused, *ready.broken]))
         for message in doubts:
             feedback.warn(message)
-        summary = {
+        summary: dict[str, Any] = {
             "products": [str(target)],
             "gsd_m": inputs.gsd,
             "covered_m2": valid * inputs.gsd**2,
@@ -152,9 +153,11 @@ class MosaicTool(Algorithm[MosaicParameters]):
             **ready.told,
             "doubts": doubts,
         }
-        project.database.set_meta(
-            mosaic={"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
-        )
+        kept_facts = {"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
+        if ready.probe is not None:
+            summary["seam_mismatch"] = ready.probe.result().as_json()
+            kept_facts["seam_mismatch"] = summary["seam_mismatch"]
+        project.database.set_meta(mosaic=kept_facts)
         outputs = {"mosaic": target}
         if ready.told["seams"] != "none":
             outputs["seams"] = project.folder / SEAMS_FILE
@@ -172,6 +175,7 @@ class _Ready:
     told: dict[str, Any]
     # under which finished tiles are kept for a later run
     key: str
+    probe: MismatchProbe | None = None
 
 
 @contextmanager
@@ -207,6 +211,7 @@ def _renderer(
     feedback: Feedback,
 ) -> _Ready:
     from georef_gis.mosaic.job import MosaicJob, checked_reader
+    from georef_gis.mosaic.seam_mismatch import MismatchProbe
     from processing_algorithms.mosaic.inputs import fingerprint_of, mosaic_sources
     from processing_algorithms.mosaic.seamlines import SeamWishes, prepare, replanned
     from processing_algorithms.rasters import ground_of
@@ -243,8 +248,10 @@ def _renderer(
         sources=found.sources, ground=found.ground, grid=found.grid, gsd=inputs.gsd,
         kind=inputs.kind, seams=found.seams, field=found.field,
     )  # fmt: skip
-    mosaic = job.open(cache.get, broken)
+    probe = MismatchProbe(found.steps.places, factor=found.seams.factor, gsd=inputs.gsd)
+    mosaic = job.open(cache.get, broken, probe)
     plan = replanned(inputs.plan, found.seams, inputs.capacity)
     return _Ready(
-        job=job, mosaic=mosaic, plan=plan, broken=broken, told=found.told(inputs), key=found.key
-    )
+        job=job, mosaic=mosaic, plan=plan, broken=broken, told=found.told(inputs), key=found.key,
+        probe=probe,
+    )  # fmt: skip

@@ -14,6 +14,7 @@ from georef_gis.measure.accuracy_plots import accuracy_pictures, histogram_figur
 from georef_gis.measure.accuracy_statement import (
     STANDARD,
     AccuracyReport,
+    SeamFinding,
     Survey,
     sentence,
     statement_json,
@@ -132,10 +133,23 @@ def test_json_holds_everything_and_is_valid() -> None:
     assert again["assessments"]["table"]["residuals"][0]["dz"] is None
     assert again["assessments"]["table"]["axes"]["x"]["n"] == 1
     assert again["seam_mismatch"] == {
-        "limit_m": pytest.approx(0.2), "found_m": None, "meets": None
+        "limit_m": pytest.approx(0.2), "found_m": None, "median_m": None, "places": 0,
+        "meets": None,
     }  # fmt: skip
     codes = {flag["code"] for flag in again["survey"]["flags"]}
     assert {"distribution_unknown", "datum_unknown"} <= codes
+
+
+@pytest.mark.parametrize(("p90", "meets"), [(0.19, True), (0.21, False)])
+def test_measured_seams_are_held_against_the_limit(p90: float, meets: bool) -> None:
+    rows = [CheckResidual(name="A", dx=0.1, dy=0.0), CheckResidual(name="B", dz=0.2)]
+    seams = SeamFinding(places=120, accepted=90, median=0.02, p90=p90)
+    report = AccuracyReport(title="T", assessments=(assess(rows),), seams=seams)
+    assert statement_json(report)["seam_mismatch"]["meets"] is meets
+    line = next(row for row in statement_text(report).splitlines() if "Seam mismatch" in row)
+    assert f"{100 * p90:.1f} cm" in line
+    assert "90 places" in line
+    assert ("NOT met" in line) is not meets
 
 
 def test_metadata_is_short_lines_with_the_bias_in_them() -> None:
