@@ -10,7 +10,9 @@ from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.measure.report import Report
 from processing_algorithms.measure.where_to_click import WhereToClick
+from processing_algorithms.mosaic.band_index import BandIndex
 from processing_algorithms.mosaic.mosaic import MosaicTool
+from processing_algorithms.mosaic.sheets import MosaicSheets
 from processing_algorithms.navigate.compare_trajectory import CompareTrajectory
 from processing_algorithms.navigate.navigate import Navigate
 from processing_algorithms.navigate.orient import OrientNavigation
@@ -44,6 +46,8 @@ ALGORITHMS = (
     Footprints,
     Orthos,
     MosaicTool,
+    MosaicSheets,
+    BandIndex,
     ControlPoints,
     WhereToClick,
     Accuracy,
