@@ -9,6 +9,7 @@ The finest level stays as it is: detail changes from photo to photo at the seam 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -67,8 +68,14 @@ class LowBlend:
         return np.asarray(np.where(np.isfinite(out), out, 0.0), dtype=np.float32)
 
 
-def blend_low(source: ProxySource, labels: SparseRaster, coarse: Grid, bands: int) -> LowBlend:
-    """Blend the low frequencies of corrected photos by their labels.
+def blend_low(
+    source: ProxySource,
+    labels: SparseRaster,
+    coarse: Grid,
+    bands: int,
+    check: Callable[[], None] = lambda: None,
+) -> LowBlend:
+    """Blend the low frequencies of corrected photos by their labels; `check` may raise to stop.
 
     Memory grows with the ground covered: a third of (bands + 1) floats a coarse pixel.
     """
@@ -80,6 +87,7 @@ def blend_low(source: ProxySource, labels: SparseRaster, coarse: Grid, bands: in
         for k in range(LEVELS + 1)
     ]  # fmt: skip
     for index in range(len(source.ids)):
+        check()
         levels = _pyramid(source, index, labels)
         if levels is None:
             continue

@@ -161,7 +161,7 @@ class NadirMosaic:
 
     def sketch(self, task: TileTask) -> TileSketch:
         """Geometry of a tile: which photos count where. Cheap, reads no photo."""
-        return self._sketch(task, frozenset(self._lost))
+        return self._sketch(task, frozenset())
 
     def _sketch(self, task: TileTask, without: frozenset[Path]) -> TileSketch:
         found = (self._sources.get(i) for i in task.photo_ids)

@@ -93,10 +93,12 @@ def balance(
     flights: Sequence[str],
     mode: ColourMode,
     value_range: tuple[float, float] | None,
+    check: Callable[[], None],
 ) -> Balanced:
-    """Solve the colour of all photos from what they show in common."""
+    """Solve the colour of all photos from what they show in common; `check` may raise to stop."""
 
     def place(index: int, cols: Array, rows: Array) -> tuple[Array, Array]:
+        check()
         return store.places(index, cols, rows, ground)
 
     overlaps = gather_overlaps(store, place, settings=OverlapSettings(value_range=value_range))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -136,8 +137,8 @@ class ProxyStore:
         return self._folder / f"{index:06d}.npz"
 
     def has(self, index: int) -> bool:
-        """Whether a photo's proxy is there."""
-        return self._path(index).exists()
+        """Whether a photo's proxy is there, whole: a power cut may leave it empty."""
+        return zipfile.is_zipfile(self._path(index))
 
     def make(self, index: int, read: Callable[[Path, int], Image], ground: Ground) -> None:
         """Make one photo's proxy; it appears whole or not at all.

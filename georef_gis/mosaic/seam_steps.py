@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -130,16 +132,21 @@ def _means(data: Values, valid: Values) -> Values:
 
 
 def measure_steps(
-    source: ProxySource, labels: SparseRaster, blend: LowBlend | None, bands: int
+    source: ProxySource,
+    labels: SparseRaster,
+    blend: LowBlend | None,
+    bands: int,
+    check: Callable[[], None] = lambda: None,
 ) -> SeamSteps:
-    """Compare the photos on both sides of every seam."""
+    """Compare the photos on both sides of every seam; `check` may raise to stop."""
     places = seam_places(labels)
     means = _Means(source, blend)
     between = np.full((len(places), bands), np.nan, np.float32)
     left = between.copy()
     pair = places.a * (1 << 32) + places.b
     starts = np.flatnonzero(np.diff(pair, prepend=-1))
-    for first, last in zip(starts, [*starts[1:], len(places)], strict=True):
+    for first, last in pairwise([*starts, len(places)]):
+        check()
         here = slice(int(first), int(last))
         col, row = places.col[here], places.row[here]
         a = means.at(int(places.a[first]), col, row)

@@ -111,13 +111,16 @@ def _lost(name: str) -> InputError:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Keep dask's own messages on workers that come and go from the user."""
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    # each has a level of its own
+    names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
 
 
 @contextmanager
@@ -129,7 +132,7 @@ def _local(name: str, workers: int) -> Iterator[Any]:
     if given and not (given.isdecimal() and int(given) > 0):
         raise _refused(name, f"{given!r} is no number of processes; give for example local:2")
     with LocalCluster(
-        n_workers=int(given or workers), threads_per_worker=1, dashboard_address=None,
+        n_workers=int(given or workers), threads_per_worker=1, dashboard_address="127.0.0.1:0",
         silence_logs=logging.CRITICAL,
     ) as cluster:  # fmt: skip
         yield cluster
@@ -184,7 +187,11 @@ def render_on_cluster(
     path = cluster.folder / f"job-{uuid4().hex}"
     write_job(path, job, plan.tiles, cluster.photos)
     try:
-        cluster.client.run(prepare_worker, path)
+        # one that dies over it is replaced, and its successor opens the job with its first tile
+        opened = cluster.client.run(prepare_worker, path, on_error="return")
+        for worker, refusal in opened.items():
+            if isinstance(refusal, InputError):
+                raise _refused(cluster.name, f"{worker}: {refusal}")
         return _Run(cluster, path, plan, writer, feedback).all(cache, broken)
     except KilledWorker as error:
         raise _refused(

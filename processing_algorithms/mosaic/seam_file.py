@@ -81,7 +81,7 @@ def _edited(project: Project, frame: MapFrame, feedback: Feedback) -> list[tuple
         return None
     feedback.info(f"{SEAMS_FILE}: the seams as edited are used")
     for note in read.notes:
-        feedback.warn(f"{SEAMS_FILE}: {note}")
+        feedback.warn(note)
     return list(read.cells)
 
 

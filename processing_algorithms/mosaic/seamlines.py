@@ -160,7 +160,8 @@ def prepare(
     store, sources, broken = _proxies(
         project, inputs, coarse, sources, ground, partial(make, progress=told(0.0, 0.15))
     )
-    balanced = _balanced(store, ground, inputs, sources, wishes)
+    check = partial(check_cancelled, feedback)
+    balanced = _balanced(store, ground, inputs, sources, wishes, check)
     corrected = CorrectedProxies(store, balanced.model, ground)
     found = project_seams(
         project, corrected, coarse, site.frame, optimised=wishes.optimised, feedback=feedback,
@@ -168,8 +169,8 @@ def prepare(
     )  # fmt: skip
     blend = None
     if wishes.blend == "multiband":
-        blend = blend_low(corrected, found.labels, coarse, bands)
-    steps = measure_steps(corrected, found.labels, blend, bands)
+        blend = blend_low(corrected, found.labels, coarse, bands, check)
+    steps = measure_steps(corrected, found.labels, blend, bands, check)
     told(0.25, 0.05)(1.0)
     reach = {"multiband": NARROW, "feather": WIDE, "none": 0.5}[wishes.blend]
     field = None
@@ -266,6 +267,7 @@ def _balanced(
     inputs: Inputs,
     sources: Mapping[str, MosaicSource],
     wishes: SeamWishes,
+    check: Callable[[], None],
 ) -> Balanced:
     from georef_gis.mosaic.prepare import balance
 
@@ -274,5 +276,5 @@ def _balanced(
         store, ground,
         cameras=[photo.camera_id for photo in photos],
         flights=[photo.flight_id for photo in photos],
-        mode=wishes.colour, value_range=inputs.value_range,
+        mode=wishes.colour, value_range=inputs.value_range, check=check,
     )  # fmt: skip

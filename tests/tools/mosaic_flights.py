@@ -128,7 +128,8 @@ class Flight:
 
         with rasterio.open(self.path) as dataset:
             cols, rows = np.meshgrid(np.arange(dataset.width), np.arange(dataset.height))
-            x, y = dataset.transform * (cols + 0.5, rows + 0.5)
+            a, _, left, _, e, top = dataset.transform[:6]
+            x, y = left + a * (cols + 0.5), top + e * (rows + 0.5)
             step = Transformer.from_crs(dataset.crs.to_wkt(), "EPSG:4326", always_xy=True)
         lon, lat = step.transform(x, y)
         return (np.asarray(lon) - LON) * EAST, (np.asarray(lat) - LAT) * NORTH
@@ -193,5 +194,3 @@ def taken(flight: Flight, levels: Sequence[int]) -> NDArray[np.int64]:
     data, mask = flight.read()
     away = np.abs(data[..., :1].astype(int) - np.array(levels))
     return np.where(mask, np.argmin(away, axis=-1), -1)
-
-

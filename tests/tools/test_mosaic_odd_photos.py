@@ -1,0 +1,180 @@
+"""The mosaic along seams of photos that are lost, large, alone, doubtful or lie oddly."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mosaic_flights import ROW, Flight, flat, make, scene, taken
+
+from processing_algorithms.mosaic import tiles
+
+pytestmark = pytest.mark.slow
+
+LEVELS = (40, 90, 140, 190)
+# m
+FINE = 0.1
+
+
+def shown(folder: Path, places: Sequence[tuple[float, float]] = ROW, **values: Any) -> Flight:
+    """Photos of one grey each, whose mosaic shows which one it takes."""
+    flight = make(folder, flat(LEVELS), places, **values)
+    flight.wish(seams="optimised", colour="none", blend="none")
+    return flight
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:5000])
+
+
+SPOIL: dict[str, Callable[[Path], None]] = {"gone": Path.unlink, "corrupt": truncated}
+
+
+@pytest.mark.parametrize("spoil", SPOIL.values(), ids=SPOIL)
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_photo_lost_between_preparation_and_tiles_is_named_and_filled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, spoil: Callable[[Path], None], workers: str
+) -> None:
+    flight = shown(tmp_path / "site")
+    real = tiles.render_tiles
+
+    def render(*args: Any) -> int:
+        spoil(flight.photo(1))
+        return real(*args)
+
+    monkeypatch.setattr(tiles, "render_tiles", render)
+    done = flight.made("--workers", workers)
+    assert done.line("doubt", "P001.tif")
+    assert sum("P001.tif" in line for line in done.text.splitlines()) == 1
+    found = taken(flight, LEVELS)
+    assert not (found == 1).any()
+    # its neighbours show all its ground but a strip in the middle: 85 + 50 m of 120 m
+    place = flight.places()[0]
+    assert (found[:, np.abs(place[160] - 35.0) < 20.0][10:-10] >= 0).all()
+
+
+@pytest.mark.parametrize("spoil", SPOIL.values(), ids=SPOIL)
+def test_a_photo_lost_before_preparation_is_named_and_filled(
+    tmp_path: Path, spoil: Callable[[Path], None]
+) -> None:
+    flight = shown(tmp_path / "site")
+    spoil(flight.photo(1))
+    done = flight.made()
+    assert done.line("doubt", "P001.tif")
+    found = taken(flight, LEVELS)
+    assert set(np.unique(found)) >= {0, 2, 3}
+    assert not (found == 1).any()
+
+
+def test_a_mosaic_of_lost_photos_alone_is_refused_in_one_line(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site")
+    for k in range(4):
+        truncated(flight.photo(k))
+    done = flight.run()
+    assert done.code == 2, done.text
+    assert done.line(".tif", "check that the file is whole")
+    assert len(done.text.splitlines()) == 1
+
+
+def test_edited_seams_of_a_lost_photo_alone(tmp_path: Path) -> None:
+    """The photo that the user gave all ground to cannot be read: the others fill it."""
+    flight = shown(tmp_path / "site")
+    flight.made()
+    with sqlite3.connect(flight.seams) as database:
+        database.execute("DELETE FROM seams WHERE photo <> 'P001'")
+    truncated(flight.photo(1))
+    done = flight.made()
+    assert done.line("doubt", "P001.tif")
+    found = taken(flight, LEVELS)
+    assert {0, 2, 3} <= set(np.unique(found))
+
+
+def test_a_photo_far_larger_than_the_rest(tmp_path: Path) -> None:
+    """24 times the pixels and the ground: it fills what the others leave, and they lie in it."""
+    flight = shown(tmp_path / "site", sizes={2: (3000, 1960)})
+    flight.made()
+    found = taken(flight, LEVELS)
+    assert set(np.unique(found)) == {-1, 0, 1, 2, 3}
+    east, north = flight.places()
+    assert (found[(np.abs(east - 70.0) < 250.0) & (np.abs(north) > 60.0) & (np.abs(north) < 180.0)]
+            == 2).all()  # fmt: skip
+    for k in (0, 1, 3):
+        near = np.hypot(east - ROW[k][0], north) < 8.0
+        assert (found[near] == k).mean() > 0.9, k
+
+
+def test_depths_that_differ_are_named_and_left_out(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site", dtypes={2: "uint16"})
+    done = flight.made()
+    assert "3 x 16" in done.line("doubt", "P002.tif")
+    data, _ = flight.read()
+    assert data.dtype == np.uint8
+    assert set(np.unique(taken(flight, LEVELS))) == {-1, 0, 1, 3}
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5, 1.0])
+def test_tile_borders_on_photo_borders_leave_no_line(tmp_path: Path, shift: float) -> None:
+    """The second photo starts at the second tile, or so many pixels on."""
+    # UTM is 0.04 % smaller in its middle
+    spacing = (512.0 + shift) * FINE / 0.9996
+    places = tuple((spacing * k, 0.0) for k in range(3))
+    flight = make(tmp_path / "site", places=places, dtypes="uint16", products={"gsd_m": FINE})
+    flight.made()
+    data, mask = flight.read()
+    assert mask[40:-40, 40:-40].all()
+    want = 65535.0 * scene(0, *flight.places())
+    error = data / want - (data / want)[40:-40, 40:-40].mean()
+    rim = error[40:-40, 500:1040]
+    # of 65535; the scene itself changes by 1 % a pixel
+    assert np.abs(np.diff(rim, axis=1)).max() < 0.001
+
+
+def test_one_photo_alone(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site", ROW[:1])
+    flight.made()
+    found = taken(flight, LEVELS)
+    assert (found[10:-10, 10:-10] == 0).all()
+    assert flight.summary()["colour_step"]["places"] == 0
+    assert flight.summary()["colour_step"]["between_photos"]["median"] is None
+
+
+def test_two_photos_without_overlap(tmp_path: Path) -> None:
+    flight = make(tmp_path / "site", flat(LEVELS), ((0.0, 0.0), (200.0, 150.0)))
+    flight.made()
+    found = taken(flight, LEVELS)
+    assert set(np.unique(found)) == {-1, 0, 1}
+    east, north = flight.places()
+    # 120 x 80 m of each, its grey as it is
+    for k, (x, y) in enumerate(((0.0, 0.0), (200.0, 150.0))):
+        assert (found[(np.abs(east - x) < 59.0) & (np.abs(north - y) < 39.0)] == k).all()
+    data, mask = flight.read()
+    assert set(np.unique(data[mask])) <= {*LEVELS[:2]}
+
+
+def test_a_photo_within_another_shows_its_middle(tmp_path: Path) -> None:
+    """Flown lower, above another place: round its nadir its own ground, else the other's."""
+    flight = shown(tmp_path / "site", ((0.0, 0.0), (30.0, 10.0)), heights={1: 30.0})
+    flight.made()
+    found = taken(flight, LEVELS)
+    assert set(np.unique(found[10:-10, 10:-10])) == {0, 1}
+    east, north = flight.places()
+    assert (found[np.hypot(east - 30.0, north - 10.0) < 5.0] == 1).all()
+
+
+def test_a_doubtful_photo_gives_way(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site")
+    flight.execute("UPDATE photo SET doubts = '[]'")
+    flight.execute("UPDATE pose SET doubts = '[]'")
+    flight.made()
+    before = taken(flight, LEVELS)
+    flight.execute("UPDATE pose SET doubts = '[\"shaken\"]' WHERE photo_id = 'P001'")
+    flight.made("--force")
+    after = taken(flight, LEVELS)
+    assert (before == 1).mean() > 0.15
+    # of the ground that no other shows it keeps all, of the rest next to nothing
+    assert (after == 1).mean() < 0.02
+    assert ((after >= 0) == (before >= 0)).all()
