@@ -94,15 +94,9 @@ class MosaicTool(Algorithm[MosaicParameters]):
 
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
-        from georef_gis.errors import GeometryError
         from georef_gis.project.seam_layer import SEAMS_FILE
-        from georef_gis.rasters.reading import count_valid
-        from georef_gis.rasters.space import check_room
         from georef_gis.rasters.warp import ImageCache, one_thread_each
-        from georef_gis.rasters.writer import TiledWriter
-        from processing_algorithms.mosaic.cluster import render_on_cluster
-        from processing_algorithms.mosaic.inputs import gather, mosaic_profile
-        from processing_algorithms.mosaic.tiles import render_tiles
+        from processing_algorithms.mosaic.inputs import gather
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -113,36 +107,20 @@ class MosaicTool(Algorithm[MosaicParameters]):
         footprints = {k: f for k, f in load_footprints(project).items() if k in site.photos}
         cache = ImageCache()
         inputs = gather(site, footprints, parameters.gsd or project.settings.products.gsd_m, cache)
-        profile = mosaic_profile(project, inputs, feedback)
         target = project.products / "mosaic.tif"
         # One thread a tile: OpenCV's own threads cost more than they gain on pieces this small.
         with one_thread_each(), _cluster(context, parameters) as cluster:
             ready = _renderer(context, parameters, inputs, cache, feedback)
-            work = project.cache / "mosaic" / "tiles"
-            check_room(target, profile, len(ready.plan.tiles), work=work)
-            with TiledWriter(target, profile, resume=ready.key, work=work) as writer:
-                if writer.resumption.note:
-                    feedback.info(writer.resumption.note)
-                kept = int(writer.done.sum())
-                plan = ready.plan.without(writer.done)
-                workers = max(1, context.workers)
-                if cluster is None:
-                    valid = render_tiles(ready.mosaic, plan, cache, writer, workers, feedback)
-                else:
-                    valid = render_on_cluster(
-                        cluster, ready.job, plan, cache, writer, feedback, ready.broken
-                    )
-                if not valid and not kept:
-                    raise GeometryError(
-                        ready.broken[0] if ready.broken else "no photo shows the ground"
-                    )
-        if kept:
-            feedback.info(f"{kept} tiles had been finished by an earlier run")
-            valid = count_valid(target)
+            valid = _written(context, inputs, ready, cache, cluster, target, feedback)
         doubts = list(dict.fromkeys([*inputs.refused, *ready.broken]))
         for message in doubts:
             feedback.warn(message)
-        summary: dict[str, Any] = {
+        told = dict(ready.told)
+        facts = {"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
+        if ready.probe is not None:
+            facts["seam_mismatch"] = told["seam_mismatch"] = ready.probe.result().as_json()
+        project.database.set_meta(mosaic=facts)
+        summary = {
             "products": [str(target)],
             "gsd_m": inputs.gsd,
             "covered_m2": valid * inputs.gsd**2,
@@ -150,18 +128,60 @@ class MosaicTool(Algorithm[MosaicParameters]):
             "size_px": [inputs.grid.width, inputs.grid.height],
             "tiles": len(inputs.plan.tiles),
             "decodes_per_photo": round(cache.decodes / max(len(inputs.footprints), 1), 2),
-            **ready.told,
+            **told,
             "doubts": doubts,
         }
-        kept_facts = {"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
-        if ready.probe is not None:
-            summary["seam_mismatch"] = ready.probe.result().as_json()
-            kept_facts["seam_mismatch"] = summary["seam_mismatch"]
-        project.database.set_meta(mosaic=kept_facts)
         outputs = {"mosaic": target}
         if ready.told["seams"] != "none":
             outputs["seams"] = project.folder / SEAMS_FILE
         return Result(outputs=outputs, summary=summary)
+
+
+def _written(
+    context: Context,
+    inputs: Inputs,
+    ready: _Ready,
+    cache: ImageCache,
+    cluster: Cluster | None,
+    target: Path,
+    feedback: Feedback,
+) -> int:
+    """Write the mosaic, or go on writing it; number of valid pixels.
+
+    Raises
+    ------
+    GeometryError
+        If no photo shows the ground.
+    ExportError
+        If there is no room; what is finished stays.
+    """
+    from georef_gis.errors import GeometryError
+    from georef_gis.rasters.reading import count_valid
+    from georef_gis.rasters.space import check_room
+    from georef_gis.rasters.writer import TiledWriter
+    from processing_algorithms.mosaic.cluster import render_on_cluster
+    from processing_algorithms.mosaic.inputs import mosaic_profile
+    from processing_algorithms.mosaic.tiles import render_tiles
+
+    project, broken = context.require_project(), ready.broken
+    profile = mosaic_profile(project, inputs, feedback)
+    work = project.cache / "mosaic" / "tiles"
+    check_room(target, profile, len(ready.plan.tiles), work=work)
+    with TiledWriter(target, profile, resume=ready.key, work=work) as writer:
+        if writer.resumption.note:
+            feedback.info(writer.resumption.note)
+        kept, plan = int(writer.done.sum()), ready.plan.without(writer.done)
+        if cluster is None:
+            workers = max(1, context.workers)
+            valid = render_tiles(ready.mosaic, plan, cache, writer, workers, feedback)
+        else:
+            valid = render_on_cluster(cluster, ready.job, plan, cache, writer, feedback, broken)
+        if not valid and not kept:
+            raise GeometryError(broken[0] if broken else "no photo shows the ground")
+    if not kept:
+        return valid
+    feedback.info(f"{kept} tiles had been finished by an earlier run")
+    return count_valid(target)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -212,6 +232,7 @@ def _renderer(
 ) -> _Ready:
     from georef_gis.mosaic.job import MosaicJob, checked_reader
     from georef_gis.mosaic.seam_mismatch import MismatchProbe
+    from georef_gis.project.seam_layer import SEAMS_FILE, is_edited
     from processing_algorithms.mosaic.inputs import fingerprint_of, mosaic_sources
     from processing_algorithms.mosaic.seamlines import SeamWishes, prepare, replanned
     from processing_algorithms.rasters import ground_of
@@ -224,6 +245,8 @@ def _renderer(
         seams = "optimised" if adjusted and len(sources) > 1 else "none"
     broken: list[str] = []
     if seams == "none":
+        if is_edited(context.require_project().folder / SEAMS_FILE):
+            feedback.warn(f"{SEAMS_FILE} was edited, but is not used: seams are none here")
         job = MosaicJob(
             sources=tuple(sources.values()), ground=ground_of(inputs.site, inputs.grid),
             grid=inputs.grid, gsd=inputs.gsd, kind=inputs.kind,

@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from georef_gis.model.mesh import Ground
     from georef_gis.model.plan import Plan
     from georef_gis.mosaic.coarse import SparseRaster
+    from georef_gis.mosaic.low_blend import LowBlend
     from georef_gis.mosaic.nadir import MosaicSource
     from georef_gis.mosaic.prepare import Balanced
-    from georef_gis.mosaic.proxies import ProxyStore
+    from georef_gis.mosaic.proxies import CorrectedProxies, ProxyStore
     from georef_gis.mosaic.seam_raster import SeamIndex
     from georef_gis.mosaic.seam_steps import SeamSteps
     from georef_gis.mosaic.seamed import ColourField
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     from georef_gis.rasters.warp import Image
     from processing_algorithms.mosaic.inputs import Inputs
 
-# px of the mosaic; a photo goes over into the next within so much of a seam, where low
-# frequencies are blended already, and where they are not
-NARROW, WIDE = 4.0, 32.0
+# px of the mosaic; a photo goes over into the next within so much of a seam: little where low
+# frequencies are blended already
+REACH = {"multiband": 4.0, "feather": 32.0, "none": 0.5}
 # folder of the cache
 PROXIES = Path("mosaic") / "proxies"
 # mosaics whose proxies are kept: the last, and one of another GSD or other poses
@@ -137,58 +138,48 @@ def prepare(
         If the user wants to stop; the photos' proxies that are finished stay.
     """
     from georef_gis.mosaic.coarse import coarse_grid
-    from georef_gis.mosaic.low_blend import blend_low
     from georef_gis.mosaic.prepare import make_proxies
     from georef_gis.mosaic.proxies import CorrectedProxies
-    from georef_gis.mosaic.seam_steps import measure_steps
     from georef_gis.mosaic.seamed import ColourField
     from processing_algorithms.mosaic.seam_file import project_seams
     from processing_algorithms.rasters import ground_of
 
-    def told(first: float, share: float) -> Callable[[float], None]:
-        def progress(fraction: float) -> None:
-            check_cancelled(feedback)
-            feedback.progress(first + share * fraction, "colour and seams")
-
-        return progress
-
-    site, grid, bands = inputs.site, inputs.grid, inputs.kind[0]
-    ground = ground_of(site, grid)
+    grid, ground = inputs.grid, ground_of(inputs.site, inputs.grid)
+    check = partial(check_cancelled, feedback)
     factor = _factor(sources, inputs.gsd)
     coarse = coarse_grid(grid, factor)
-    make = partial(make_proxies, ground=ground, read=read, workers=workers)
-    store, sources, broken = _proxies(
-        project, inputs, coarse, sources, ground, partial(make, progress=told(0.0, 0.15))
-    )
-    check = partial(check_cancelled, feedback)
+    make = partial(
+        make_proxies, ground=ground, read=read, workers=workers,
+        progress=_told(feedback, 0.0, 0.15),
+    )  # fmt: skip
+    store, sources, broken = _proxies(project, inputs, coarse, sources, ground, make)
     balanced = _balanced(store, ground, inputs, sources, wishes, check)
     corrected = CorrectedProxies(store, balanced.model, ground)
     found = project_seams(
-        project, corrected, coarse, site.frame, optimised=wishes.optimised, feedback=feedback,
-        progress=told(0.15, 0.1),
+        project, corrected, coarse, inputs.site.frame, optimised=wishes.optimised,
+        feedback=feedback, progress=_told(feedback, 0.15, 0.1),
     )  # fmt: skip
-    blend = None
-    if wishes.blend == "multiband":
-        blend = blend_low(corrected, found.labels, coarse, bands, check)
-    steps = measure_steps(corrected, found.labels, blend, bands, check)
-    told(0.25, 0.05)(1.0)
-    reach = {"multiband": NARROW, "feather": WIDE, "none": 0.5}[wishes.blend]
+    blend, steps = _blended(corrected, found.labels, coarse, inputs, wishes, check)
+    _told(feedback, 0.25, 0.05)(1.0)
     field = None
     if wishes.colour != "none" or blend is not None:
         field = ColourField(colour=balanced.model, blend=blend, proxies=corrected, factor=factor)
+    seams = PolygonSeams(found.index, grid, found.labels, factor=factor, reach=REACH[wishes.blend])
     return Prepared(
-        sources=tuple(sources.values()),
-        ground=ground,
-        grid=grid,
-        seams=PolygonSeams(found.index, grid, found.labels, factor=factor, reach=reach),
-        field=field,
-        balanced=balanced,
-        steps=steps,
-        broken=tuple(broken),
-        edited=found.edited,
-        wishes=wishes,
+        sources=tuple(sources.values()), ground=ground, grid=grid, seams=seams, field=field,
+        balanced=balanced, steps=steps, broken=tuple(broken), edited=found.edited, wishes=wishes,
         fingerprint=store.name,
-    )
+    )  # fmt: skip
+
+
+def _told(feedback: Feedback, first: float, share: float) -> Callable[[float], None]:
+    """Progress of a part of the preparation, at which the user may stop."""
+
+    def progress(fraction: float) -> None:
+        check_cancelled(feedback)
+        feedback.progress(first + share * fraction, "colour and seams")
+
+    return progress
 
 
 def replanned(plan: Plan, seams: PolygonSeams, capacity: int) -> Plan:
@@ -220,6 +211,7 @@ def _proxies(
     make: Callable[[ProxyStore], dict[int, str]],
 ) -> tuple[ProxyStore, dict[str, MosaicSource], list[str]]:
     """Proxies of all photos that can be read; the others are left out."""
+    from georef_gis.errors import InputError
     from georef_gis.mosaic.proxies import ProxyPhoto, ProxyStore, proxy_window
     from georef_gis.rasters.warp import reduction_for
     from processing_algorithms.mosaic.inputs import fingerprint_of
@@ -241,15 +233,18 @@ def _proxies(
         folder = project.cache / PROXIES / fingerprint_of(project, used, coarse, ground)
         return ProxyStore(folder, photos, coarse)
 
-    store = store_of(list(sources))
-    broken = make(store)
-    _tidy(project.cache / PROXIES, keep=KEPT_FOLDERS)
-    if not broken:
-        return store, dict(sources), []
-    kept = [key for k, key in enumerate(sources) if k not in broken]
-    store = store_of(kept)
-    make(store)
-    return store, {key: sources[key] for key in kept}, list(broken.values())
+    keys, messages = list(sources), list[str]()
+    # a share that goes away may take more photos while the others are read again
+    while True:
+        store = store_of(keys)
+        broken = make(store)
+        _tidy(project.cache / PROXIES, keep=KEPT_FOLDERS)
+        if not broken:
+            return store, {key: sources[key] for key in keys}, messages
+        messages += broken.values()
+        keys = [key for k, key in enumerate(keys) if k not in broken]
+        if not keys:
+            raise InputError(messages[0])
 
 
 def _tidy(folder: Path, *, keep: int) -> None:
@@ -259,6 +254,25 @@ def _tidy(folder: Path, *, keep: int) -> None:
     found = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
     for path in found[keep:]:
         shutil.rmtree(path, ignore_errors=True)
+
+
+def _blended(
+    corrected: CorrectedProxies,
+    labels: SparseRaster,
+    coarse: Grid,
+    inputs: Inputs,
+    wishes: SeamWishes,
+    check: Callable[[], None],
+) -> tuple[LowBlend | None, SeamSteps]:
+    """Low frequencies, if they are to be blended, and the steps that are left at the seams."""
+    from georef_gis.mosaic.low_blend import blend_low
+    from georef_gis.mosaic.seam_steps import measure_steps
+
+    bands = inputs.kind[0]
+    blend = None
+    if wishes.blend == "multiband":
+        blend = blend_low(corrected, labels, coarse, bands, check)
+    return blend, measure_steps(corrected, labels, blend, bands, check)
 
 
 def _balanced(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 from mosaic_flights import ROW, Flight, flat, make, scene, taken
 
-from processing_algorithms.mosaic import tiles
+from georef_gis.mosaic import prepare
+from processing_algorithms.mosaic import seamlines, tiles
 
 pytestmark = pytest.mark.slow
 
@@ -78,6 +80,36 @@ def test_a_mosaic_of_lost_photos_alone_is_refused_in_one_line(tmp_path: Path) ->
     assert done.code == 2, done.text
     assert done.line(".tif", "check that the file is whole")
     assert len(done.text.splitlines()) == 1
+
+
+@pytest.mark.parametrize("lost", [2, 4])
+def test_a_share_that_goes_away_while_photos_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lost: int
+) -> None:
+    """Each time that the photos are read one more is gone: none stays unsaid."""
+    flight = shown(tmp_path / "site")
+    real = prepare.make_proxies
+    passes = 0
+
+    def make_proxies(*args: Any, **options: Any) -> Any:
+        nonlocal passes
+        if passes < lost:
+            truncated(flight.photo(passes))
+            shutil.rmtree(flight.folder / "cache" / seamlines.PROXIES, ignore_errors=True)
+        passes += 1
+        return real(*args, **options)
+
+    monkeypatch.setattr(prepare, "make_proxies", make_proxies)
+    done = flight.run()
+    assert "Traceback" not in done.text
+    if lost == 4:
+        assert done.code == 2
+        assert done.line("P000.tif", "check that the file is whole")
+        return
+    assert done.code == 0, done.text
+    assert done.line("doubt", "P000.tif")
+    assert done.line("doubt", "P001.tif")
+    assert {2, 3} <= set(np.unique(taken(flight, LEVELS))) <= {-1, 2, 3}
 
 
 def test_edited_seams_of_a_lost_photo_alone(tmp_path: Path) -> None:
