@@ -95,6 +95,10 @@ def _distance(source: ProxyPhoto, ground: Ground, coarse: Grid) -> NDArray[np.fl
     return np.asarray(np.nan_to_num(d, nan=1e6, posinf=1e6), dtype=np.float32)
 
 
+# numpy reads its headers through `ast`, which in Python 3.11 fails now and then in two threads
+_LOADING = threading.Lock()
+
+
 class ProxyStore:
     """Proxies of all photos of a mosaic in a folder; what is there already is not made again.
 
@@ -162,7 +166,7 @@ class ProxyStore:
         source = self._photos[index]
         window = source.window
         shape = (window.height, window.width)
-        with np.load(self._path(index)) as kept:
+        with _LOADING, np.load(self._path(index)) as kept:
             data = kept["data"].astype(np.float32)
             count = shape[0] * shape[1]
             valid = np.unpackbits(kept["valid"], count=count).reshape(shape).astype(np.bool_)

@@ -16,8 +16,7 @@ from georef_gis.project.geometry import to_blob
 from georef_gis.project.schema import Table
 
 if TYPE_CHECKING:
-    from pyproj import CRS
-
+    from georef_gis.geodesy import CRS
     from georef_gis.mosaic.sheet_cut import Sheet
 
 INDEX_FILE = "sheets.gpkg"
@@ -50,15 +49,10 @@ def own_sheets(folder: Path) -> set[Path]:
 
 
 def _is_own(path: Path) -> bool:
-    import rasterio
-    from rasterio.errors import RasterioError
+    from georef_gis.rasters.parts import items_or_none
 
-    try:
-        with rasterio.open(path) as dataset:
-            tags = dataset.tags()
-    except RasterioError:
-        return False
-    return bool(tags.get("SOFTWARE") == SOFTWARE and tags.get("SHEET") == path.stem)
+    items = items_or_none(path) or {}
+    return items.get("SOFTWARE") == SOFTWARE and items.get("SHEET") == path.stem
 
 
 def check_free(paths: Sequence[Path], own: set[Path], index: Path) -> None:

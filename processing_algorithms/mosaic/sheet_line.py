@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.errors import CrsError, InputError
 
 if TYPE_CHECKING:
-    from pyproj import CRS
-
+    from georef_gis.geodesy import CRS
     from georef_gis.model.photo import Photo
     from georef_gis.project import Project
 

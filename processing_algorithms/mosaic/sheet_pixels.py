@@ -25,7 +25,7 @@ class SheetCutter:
     def __init__(
         self, project: Project, raster: Path, bands: Bands, metres: float, *, workers: int
     ) -> None:
-        import rasterio
+        from georef_gis.rasters.parts import dataset_items
 
         self._project, self._bands, self._metres, self._workers = project, bands, metres, workers
         header = bands.header
@@ -33,8 +33,7 @@ class SheetCutter:
             crs_wkt=header.crs_wkt, left=header.transform[2], top=header.transform[5],
             pixel=header.transform[0], width=header.width, height=header.height,
         )  # fmt: skip
-        with rasterio.open(raster) as dataset:
-            self._tags = {k: v for k, v in dataset.tags().items() if k != "AREA_OR_POINT"}
+        self._items = dataset_items(raster)
 
     def write(self, sheet: Sheet, path: Path, feedback: Feedback) -> bool:
         """Write a sheet, whole or not at all; whether it shows something, else there is no file.
@@ -105,7 +104,7 @@ class SheetCutter:
         }
         names = header.bands if any(header.bands) else ()
         return replace(
-            profile, epsg=header.epsg, band_descriptions=names, metadata=self._tags | items
+            profile, epsg=header.epsg, band_descriptions=names, metadata=self._items | items
         )
 
 
@@ -117,15 +116,10 @@ def _grid_of(whole: Grid, part: Window) -> Grid:
 
 def _inside(area: Any, grid: Grid) -> Any:
     """Which pixels (rows, cols) of a grid have their middle in an area; None if none has."""
-    import numpy as np
     import shapely
-    from rasterio import Affine
-    from rasterio.features import rasterize
+
+    from georef_gis.rasters.parts import pixels_inside
 
     if not shapely.intersects(area, shapely.box(*grid.bounds)):
         return None
-    burnt = rasterize(
-        [area], out_shape=(grid.height, grid.width), transform=Affine(*grid.transform),
-        dtype=np.uint8,
-    )  # fmt: skip
-    return burnt > 0
+    return pixels_inside(area, grid.transform, rows=grid.height, cols=grid.width)

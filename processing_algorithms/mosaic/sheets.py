@@ -11,12 +11,10 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from pyproj import CRS
-
+    from georef_gis.geodesy import CRS
     from georef_gis.mosaic.sheet_cut import Sheet
     from georef_gis.project import Project
     from georef_gis.rasters.resampled import MapHeader
-    from processing_algorithms.mosaic.sheet_files import SheetFile
     from processing_algorithms.mosaic.sheet_pixels import SheetCutter
 
 # px; how finely it is known where the raster shows something
@@ -59,15 +57,8 @@ class MosaicSheets(Algorithm[MosaicSheetsParameters]):
         self, context: Context, parameters: MosaicSheetsParameters, feedback: Feedback
     ) -> Result:
         """Cut them."""
-        from georef_gis.errors import GeometryError
         from georef_gis.rasters.resampled import open_bands
-        from processing_algorithms.mosaic.sheet_files import (
-            INDEX_FILE,
-            check_free,
-            own_sheets,
-            refusals,
-            write_index,
-        )
+        from processing_algorithms.mosaic.sheet_files import INDEX_FILE
         from processing_algorithms.mosaic.sheet_pixels import SheetCutter
 
         project = context.require_project()
@@ -75,34 +66,18 @@ class MosaicSheets(Algorithm[MosaicSheetsParameters]):
         with open_bands(place.raster) as bands:
             crs, metres = _map_of(bands.header)
             cut = _cut(project, place.raster, bands.header, crs, metres, parameters)
-            paths = [place.path(k + 1, len(cut.sheets)) for k in range(len(cut.sheets))]
+            workers = max(1, context.workers)
+            cutter = SheetCutter(project, place.raster, bands, metres, workers=workers)
             index = place.folder / INDEX_FILE
-            old = own_sheets(place.folder)
-            check_free(paths, old, index)
-            with refusals(place.folder):
-                place.folder.mkdir(parents=True, exist_ok=True)
-                # it would be wrong as soon as the first sheet is another
-                index.unlink(missing_ok=True)
-            cutter = SheetCutter(
-                project, place.raster, bands, metres, workers=max(1, context.workers)
-            )
-            files = _written(cutter, cut.sheets, paths, feedback)
-            if not files:
-                raise GeometryError(
-                    f"no sheet shows anything of {place.raster.name}; check --line and --width"
-                )
-            write_index(index, files, cut.line, crs, metres=metres)
-            with refusals(place.folder):
-                for path in old - {file.path for file in files}:
-                    path.unlink(missing_ok=True)
+            count = _write(cutter, cut, place, (index, crs, metres), feedback)
         summary = {
             "products": [str(index)],
-            "sheets": len(files),
-            "empty_sheets": len(paths) - len(files),
+            "sheets": count,
+            "empty_sheets": len(cut.sheets) - count,
             "line_m": round(cut.line.length * metres, 2),
             "width_m": round(cut.width * metres, 2),
         }
-        feedback.info(f"{len(files)} sheets of {place.raster.name} in {place.folder}")
+        feedback.info(f"{count} sheets of {place.raster.name} in {place.folder}")
         return Result(outputs={"sheets": place.folder, "index": index}, summary=summary)
 
 
@@ -148,8 +123,7 @@ class _Cut:
 def _map_of(header: MapHeader) -> tuple[CRS, float]:
     """CRS of a north-up raster in a map, and metres in its unit."""
     from georef_gis.errors import CrsError, InputError
-    from georef_gis.geodesy import metres_per_unit, parse_crs
-    from georef_gis.geodesy.reference_systems import horizontal_crs
+    from georef_gis.geodesy import horizontal_crs, metres_per_unit, parse_crs
 
     a, b, _, d, e, _ = header.transform
     if b != 0.0 or d != 0.0 or a <= 0.0 or a != -e:
@@ -201,15 +175,37 @@ def _cut(
     return _Cut(line=line, width=width, sheets=tuple(sheet_cut.cut_sheets(line, parts, width)))
 
 
-def _written(
-    cutter: SheetCutter, sheets: tuple[Sheet, ...], paths: list[Path], feedback: Feedback
-) -> list[SheetFile]:
-    """Write sheets in the order of the line; those that show something."""
-    from processing_algorithms.mosaic.sheet_files import SheetFile
+def _write(
+    cutter: SheetCutter, cut: _Cut, place: _Place, listed: tuple[Path, CRS, float],
+    feedback: Feedback,
+) -> int:  # fmt: skip
+    """Write the sheets that show something, then their index; how many those are.
 
+    `listed` is the index, the CRS, and metres in its unit. Files of others are not touched, and
+    older sheets of ours go once the new ones are there.
+    """
+    from georef_gis.errors import GeometryError
+    from processing_algorithms.mosaic import sheet_files
+
+    index, crs, metres = listed
+    paths = [place.path(sheet.number, len(cut.sheets)) for sheet in cut.sheets]
+    old = sheet_files.own_sheets(place.folder)
+    sheet_files.check_free(paths, old, index)
+    with sheet_files.refusals(place.folder):
+        place.folder.mkdir(parents=True, exist_ok=True)
+        # it would be wrong as soon as the first sheet is another
+        index.unlink(missing_ok=True)
     files = []
-    for number, (sheet, path) in enumerate(zip(sheets, paths, strict=True), start=1):
+    for number, (sheet, path) in enumerate(zip(cut.sheets, paths, strict=True), start=1):
         if cutter.write(sheet, path, feedback):
-            files.append(SheetFile(sheet=sheet, path=path))
-        feedback.progress(number / len(sheets), f"sheet {number} of {len(sheets)}")
-    return files
+            files.append(sheet_files.SheetFile(sheet=sheet, path=path))
+        feedback.progress(number / len(paths), f"sheet {number} of {len(paths)}")
+    if not files:
+        raise GeometryError(
+            f"no sheet shows anything of {place.raster.name}; check --line and --width"
+        )
+    sheet_files.write_index(index, files, cut.line, crs, metres=metres)
+    with sheet_files.refusals(place.folder):
+        for path in old - {file.path for file in files}:
+            path.unlink(missing_ok=True)
+    return len(files)
