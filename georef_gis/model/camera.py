@@ -20,6 +20,7 @@ PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "p1", "p2", "b1", "b2")
 # px; a rolling shutter's rows move a pixel by less: the next round would change nothing
 ROWS_SETTLED = 1e-7
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Camera:
     """Interior orientation of one camera, pixels; (0, 0) is the centre of the first pixel.
