@@ -180,4 +180,5 @@ def _coloured(  # type: ignore[no-untyped-def]
             for b in range(bands):
                 value = image[r, c, b] * (e * g[j, b] + f * g[j + 1, b])
                 value += e * d[j, b] + f * d[j + 1, b]
-                out[r, c, b] = min(max(value + half, low), high)
+                value = min(max(value + half, low), high)
+                out[r, c, b] = np.floor(value) if half > 0.0 else value

@@ -75,6 +75,10 @@ def _make(source: ProxyPhoto, image: Image, ground: Ground, coarse: Grid) -> _Ma
     else:
         data, mask = found
         valid = np.ones(shape, np.bool_) if mask is None else mask
+    if data.dtype.kind == "f":
+        # a nodata value of floats must not spread
+        known = np.asarray(np.isfinite(data).all(axis=2))
+        valid, data = valid & known, np.where(known[..., None], data, data.dtype.type(0.0))
     kernel = np.ones((2 * RIM_PIXELS + 1, 2 * RIM_PIXELS + 1), np.uint8)
     # what lies beyond the window is not seen either
     inner = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)

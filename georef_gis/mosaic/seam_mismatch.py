@@ -109,11 +109,12 @@ def shift_between(a: Values, b: Values) -> tuple[float, float] | None:
     Phase correlation on the squares' detail: brightness that differs slowly does not count.
     """
     fine = [g - cv2.GaussianBlur(g, (0, 0), 8.0) for g in (a, b)]
-    if min(float(np.std(g)) for g in fine) < LEAST_CONTRAST:
+    # NaN compares as false
+    if not min(float(np.std(g)) for g in fine) >= LEAST_CONTRAST:
         return None
     hann = cv2.createHanningWindow((a.shape[1], a.shape[0]), cv2.CV_32F)
     (dx, dy), peak = cv2.phaseCorrelate(fine[0], fine[1], hann)
-    if peak < LEAST_PEAK or np.hypot(dx, dy) > LARGEST * min(a.shape):
+    if not (peak >= LEAST_PEAK and np.hypot(dx, dy) <= LARGEST * min(a.shape)):
         return None
     return float(dx), float(dy)
 

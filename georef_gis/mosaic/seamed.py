@@ -158,8 +158,9 @@ class SeamMosaic:
         image = paint.image
         out = np.empty((window.height, window.width, image.shape[2]), image.dtype)
         paint.values(uv, whole, out)
-        high = value_range(image.dtype)[1]
-        scale = high if np.isfinite(high) else float(np.max(np.abs(out), initial=1e-6))
+        # sensors fill 10 to 14 of 16 bits
+        whole_range = image.dtype == np.uint8
+        scale = 255.0 if whole_range else float(np.max(np.abs(out), initial=1e-6))
         return grey(out, scale)
 
     def _tile_ground(self, window: Window) -> TileGround:
@@ -300,6 +301,10 @@ class _Tile:
             self._sum = np.zeros(out.shape, np.float32)
         value = np.empty(out[pixels].shape, np.float32)
         paint.values(uv, pixels, value)
+        if paint.image.dtype.kind == "f":
+            known = np.isfinite(value).all(axis=2)
+            weight = np.where(known, weight, np.float32(0.0))
+            value[~known] = 0.0
         self._sum[pixels] += value * weight[..., None]
         self._weight[pixels] += weight
         self._mixed[pixels[0].start, pixels[1].start] = pixels
@@ -310,7 +315,7 @@ class _Tile:
         mean = self._sum[pixels] / np.maximum(weight, np.float32(1e-12))[..., None]
         low, high = value_range(out.dtype)
         if np.isfinite(high):
-            mean = np.clip(mean + np.float32(0.5), low, high)
+            mean = np.floor(np.clip(mean + np.float32(0.5), low, high))
         keep = (weight > 0.0) & ~self._plain[pixels]
         np.copyto(out[pixels], mean, where=keep[..., None], casting="unsafe")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -50,11 +51,20 @@ class Inputs:
         """Pixel size on the ground, m."""
         return self.grid.pixel * self.site.gsd_unit
 
-    @property
-    def value_range(self) -> tuple[float, float] | None:
-        """Least and largest grey value; None for floats, which have no end."""
-        ends = {"uint8": (0.0, 255.0), "uint16": (0.0, 65535.0)}
-        return ends.get(self.kind[1])
+    def value_range(self, largest: float) -> tuple[float, float] | None:
+        """Least and largest grey value of a sensor; None for floats, which have no end.
+
+        Parameters
+        ----------
+        largest
+            Value found in the photos: 16 bits hold sensors of 10, 12, 14 bits.
+        """
+        if self.kind[1] == "uint8":
+            return 0.0, 255.0
+        if self.kind[1] != "uint16":
+            return None
+        bits = min(max(math.ceil(math.log2(largest + 1.0)), 8), 16)
+        return 0.0, 2.0**bits - 1.0
 
 
 def gather(
@@ -69,12 +79,21 @@ def gather(
     InputError
         If no photo can be read, or the grid would be absurdly large.
     """
+    from georef_gis.errors import InputError
+    from georef_gis.rasters.profile import DTYPES
+
     usable, refused = _same_kind(site, list(footprints))
     kept = {key: footprints[key] for key in usable}
     capacity = cache.capacity(_largest_image(site, usable))
     grid, plan = _planned(site, kept, gsd, capacity)
+    kind = _kind_of(site, cache, usable)
+    if kind[1] not in DTYPES:
+        raise InputError(
+            f"the photos have values of type {kind[1]}; a mosaic holds {', '.join(DTYPES)}; "
+            "convert them"
+        )
     return Inputs(
-        site=site, footprints=kept, grid=grid, plan=plan, kind=_kind_of(site, cache, usable),
+        site=site, footprints=kept, grid=grid, plan=plan, kind=kind,
         refused=tuple(refused), capacity=capacity,
     )  # fmt: skip
 
@@ -175,10 +194,15 @@ def fingerprint_of(
     project: Project, sources: Sequence[MosaicSource], grid: Grid, ground: Ground
 ) -> str:
     """Name of what photos, their poses and cameras, the ground and a grid determine."""
+    import cv2
     import numpy as np
+
+    import georef_gis
 
     known = {row["photo_id"]: row["fingerprint"] for row in project.database.rows("photo")}
     digest = hashlib.blake2b(digest_size=12)
+    # what one version finished does not fit beside what another makes
+    digest.update(repr((georef_gis.__version__, np.__version__, cv2.__version__)).encode())
     digest.update(repr((grid.transform, grid.width, grid.height, grid.crs_wkt)).encode())
     terrain = ground.terrain
     heights = getattr(terrain, "heights", None)
@@ -188,7 +212,9 @@ def fingerprint_of(
         digest.update(np.ascontiguousarray(heights).data)
     for source in sources:
         pose, camera = source.photo.pose, source.photo.camera
-        kept = (known.get(source.photo.id), source.reduce, source.reach, source.doubtful, camera)
+        photo = source.photo.photo
+        kept = (known.get(photo.id), photo.flight_id, source.reduce, source.reach, camera)
+        digest.update(repr(source.doubtful).encode())
         digest.update(repr(kept).encode())
         motion = [v for v in (pose.velocity_enu, pose.rate_enu) if v is not None]
         digest.update(

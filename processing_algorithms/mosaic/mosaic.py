@@ -117,8 +117,9 @@ class MosaicTool(Algorithm[MosaicParameters]):
             feedback.warn(message)
         told = dict(ready.told)
         facts = {"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
-        if ready.probe is not None:
-            facts["seam_mismatch"] = told["seam_mismatch"] = ready.probe.result().as_json()
+        mismatch = None if ready.probe is None or cluster is not None else ready.probe.result()
+        if mismatch is not None and mismatch.accepted:
+            facts["seam_mismatch"] = told["seam_mismatch"] = mismatch.as_json()
         project.database.set_meta(mosaic=facts)
         summary = {
             "products": [str(target)],

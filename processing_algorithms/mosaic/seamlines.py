@@ -36,6 +36,8 @@ REACH = {"multiband": 4.0, "feather": 32.0, "none": 0.5}
 PROXIES = Path("mosaic") / "proxies"
 # mosaics whose proxies are kept: the last, and one of another GSD or other poses
 KEPT_FOLDERS = 2
+# photos whose largest grey value is looked for
+LOOKED_AT = 40
 # of the way tiles are made: what an older one finished does not fit beside new tiles
 VERSION = 1
 ColourChoice = Literal["full", "gain", "none"]
@@ -97,6 +99,8 @@ class Prepared:
     wishes: SeamWishes
     # of the photos, their poses and the ground
     fingerprint: str
+    # grey value found in the photos
+    largest: float
 
     @property
     def key(self) -> str:
@@ -109,8 +113,8 @@ class Prepared:
 
     def told(self, inputs: Inputs) -> dict[str, Any]:
         """For the run's summary: what was done, and how well photos meet."""
-        ends = inputs.value_range
-        scale = 255.0 if ends is None else ends[1]
+        ends = inputs.value_range(self.largest)
+        scale = self.largest if ends is None else ends[1]
         how = "edited" if self.edited else "optimised" if self.wishes.optimised else "nearest"
         return {
             "seams": how,
@@ -153,7 +157,8 @@ def prepare(
         progress=_told(feedback, 0.0, 0.15),
     )  # fmt: skip
     store, sources, broken = _proxies(project, inputs, coarse, sources, ground, make)
-    balanced = _balanced(store, ground, inputs, sources, wishes, check)
+    largest = _largest(store)
+    balanced = _balanced(store, ground, inputs, sources, wishes, largest, check)
     corrected = CorrectedProxies(store, balanced.model, ground)
     found = project_seams(
         project, corrected, coarse, inputs.site.frame, optimised=wishes.optimised,
@@ -168,7 +173,7 @@ def prepare(
     return Prepared(
         sources=tuple(sources.values()), ground=ground, grid=grid, seams=seams, field=field,
         balanced=balanced, steps=steps, broken=tuple(broken), edited=found.edited, wishes=wishes,
-        fingerprint=store.name,
+        fingerprint=store.name, largest=largest,
     )  # fmt: skip
 
 
@@ -247,6 +252,15 @@ def _proxies(
             raise InputError(messages[0])
 
 
+def _largest(store: ProxyStore) -> float:
+    """Largest grey value of the photos, of some of many."""
+    import numpy as np
+
+    step = max(1, len(store.ids) // LOOKED_AT)
+    found = [np.max(np.abs(store.load(k).data)) for k in range(0, len(store.ids), step)]
+    return max(float(np.max(found)), 1e-6)
+
+
 def _tidy(folder: Path, *, keep: int) -> None:
     """Drop the proxies of mosaics that were made long ago: each takes 0.4 MB a photo."""
     if not folder.is_dir():
@@ -281,6 +295,7 @@ def _balanced(
     inputs: Inputs,
     sources: Mapping[str, MosaicSource],
     wishes: SeamWishes,
+    largest: float,
     check: Callable[[], None],
 ) -> Balanced:
     from georef_gis.mosaic.prepare import balance
@@ -290,5 +305,5 @@ def _balanced(
         store, ground,
         cameras=[photo.camera_id for photo in photos],
         flights=[photo.flight_id for photo in photos],
-        mode=wishes.colour, value_range=inputs.value_range, check=check,
+        mode=wishes.colour, value_range=inputs.value_range(largest), check=check,
     )  # fmt: skip

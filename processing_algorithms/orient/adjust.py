@@ -169,7 +169,8 @@ def _adjusted(
             return other, [*notes, f"{line}: the photos are believed, beyond doubt"]
         notes.append(line)
     notes.append(f"with a free camera {found.failed[0].told()}: adjusted again, the camera held")
-    return once(calibrate=False), notes
+    held = once(calibrate=False)
+    return held, list(dict.fromkeys([*notes, *held.told]))
 
 
 def _once(prepared: Prepared, site: Site, feedback: Feedback) -> _Found:

@@ -98,6 +98,16 @@ def test_integers_are_rounded_and_cut(dtype: str, top: int) -> None:
     assert out.ravel().tolist() in ([0, 9, 104, top], [0, 10, 104, top])
 
 
+def test_negative_integers_round_to_the_nearest() -> None:
+    window = Window(col=0, row=0, width=3, height=1)
+    lattice = Lattice.around(window, FACTOR)
+    shape = (lattice.half.height, lattice.half.width, 1)
+    image = np.array([[[-10], [-5], [7]]], dtype=np.int16)
+    out = np.empty_like(image)
+    coloured(image, np.ones(shape, np.float32), np.zeros(shape, np.float32), lattice, (0, 0), out)
+    assert out.ravel().tolist() == [-10, -5, 7]
+
+
 class Vignette:
     """Darker towards the corners, bluer towards the sun in the east."""
 

@@ -35,6 +35,9 @@ def test_a_shift_is_found_though_brightness_differs(dx: float, dy: float) -> Non
 def test_what_tells_nothing_is_not_told() -> None:
     assert shift_between(ground(0, 0), ground(0, 0, seed=9)) is None
     assert shift_between(np.full((SIDE, SIDE), 90, np.float32), ground(0, 0)) is None
+    hole = ground(0, 0)
+    hole[5, 5] = np.nan
+    assert shift_between(hole, ground(0, 0)) is None
 
 
 def places(n: int) -> SeamPlaces:

@@ -146,8 +146,10 @@ def _adjust(problem: Problem, cancelled: Cancelled | None, tell: Progress) -> Ad
         found = weigh_down(problem, solution.state)
         doubted += found
         scatter = sigma0(problem, solution)
-        if scatter > 1.0 and freedom(problem) > ENOUGH:
-            problem.sigma = np.where(problem.mark_of < 0, scatter, 1.0) * problem.ties.sigma
+        if freedom(problem) > ENOUGH:
+            # set anew: an early scatter of photos that are still off must not stay
+            worse = max(scatter, 1.0)
+            problem.sigma = np.where(problem.mark_of < 0, worse, 1.0) * problem.ties.sigma
         again = solve(problem, solution.state, scale=FINAL_SCALE, steps=30, cancelled=cancelled)
         settled = not found and not np.any(out) and number > 0
         solution = again

@@ -6,6 +6,7 @@ import numpy as np
 
 from georef_gis.orient.adjustment.adjust import Adjusted
 from georef_gis.orient.adjustment.kernels import CAMERA_UNKNOWNS
+from georef_gis.orient.adjustment.level_check import FREE
 from georef_gis.orient.adjustment.wrong_matches import WRONG
 
 # chi-square that a match taken out, or a navigation weighed down, counts for
@@ -31,6 +32,9 @@ def misfit(adjusted: Adjusted, *, scatter: float) -> float:
     seen = np.isfinite(r[:, 0])
     pixels = float(np.sum((r[seen] / sigma[seen, None]) ** 2))
     lost = int(adjusted.removed.sum()) + int(np.count_nonzero(~seen)) + len(adjusted.doubted)
+    ground = problem.block.ground
+    # a ground whose height was given up is a contradiction too
+    lost += int(ground is not None and ground.sigma_free >= FREE)
     focal = slice(0, len(problem.camera_information), CAMERA_UNKNOWNS)
     moved = problem.shared_vector(state)[focal]
     own = float(np.sum(problem.camera_information[focal] * moved**2))
