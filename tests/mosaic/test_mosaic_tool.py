@@ -202,7 +202,7 @@ def test_each_photo_is_decoded_about_once(flight: Callable[..., Path]) -> None:
 
 
 def test_memory_does_not_grow_with_the_flight(tmp_path: Path) -> None:
-    """60 photos of 6 MP are 1.1 GB of pixels; the process stays below 600 MB."""
+    """60 photos of 6 MP are 1.1 GB of pixels; the process stays below 750 MB."""
     folder = make(tmp_path / "site", 60, size=(3000, 2000), gsd=0.06)
     first = ["run", str(folder), "--only", STEPS.removesuffix(",mosaic")]
     assert CliRunner().invoke(cli.georef, first).exit_code == 0
@@ -221,4 +221,4 @@ def test_memory_does_not_grow_with_the_flight(tmp_path: Path) -> None:
         [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout.split("peak")[1].split()[0]) * 1024 < 600e6
+    assert int(done.stdout.split("peak")[1].split()[0]) * 1024 < 750e6
