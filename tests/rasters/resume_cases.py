@@ -109,6 +109,8 @@ def main() -> None:
             os.kill(child, signal.SIGKILL)
         ended = os.waitpid(child, 0)[1] == 0
         os.close(ours)
+        # a kill may come when the file is in its place and the journal gone: nothing is left to do
+        ended = ended or (target.exists() and not any(work.glob("*journal*")))
         if ended:
             return
 
