@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from exports.raster_source import raster_of
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -47,13 +48,7 @@ class Cog(Exporter[CogOptions]):
         self, source: LayerSource, target: Path, options: CogOptions, feedback: Feedback
     ) -> ExportReport:
         """Write the raster to `target`."""
-        path = source.path
-        if path is None or path.is_dir():
-            raise ExportError(
-                f"layer {source.layer} is not one raster; use mosaic or the file of one ortho"
-            )
-        if not path.is_file():
-            raise ExportError(f"{path}: is not there; run `georef run` first")
+        path = raster_of(source)
         check_cancelled(feedback)
         report = write_cog(path, target, options.compression, options.quality)
         if source.layer != "mosaic":

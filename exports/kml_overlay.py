@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
-import cv2
-import numpy as np
-
 from exports import kml_elements as k
-from exports.kml_picture import LatLonGrid, MosaicPicture, Pixels, encode
+from exports.kml_picture import LatLonGrid, MosaicPicture, encode
+from exports.quad_tiles import mean_of_children, quarter
+from exports.raster_colour import Pixels
 
 TILE = 256
 # Levels below that of a block: a block of 1024 px is warped at once.
@@ -119,22 +118,16 @@ class Pyramid:
     ) -> Pixels | None:
         """Tile from its four children, which are written first."""
         width, height = (side >> (self.depth - z) for side in self._pixels(z, x, y)[2:])
-        mosaic = np.zeros((2 * height, 2 * width, 4), dtype=np.uint8)
+        half = TILE * 2 ** (self.depth - z - 1)
+        tiles: dict[tuple[int, int], Pixels] = {}
         for j in (0, 1):
             for i in (0, 1):
-                part = None if block is None else self._quarter(block, z, i, j)
+                part = None if block is None else quarter(block, i, j, half)
                 child = self._build(z + 1, 2 * x + i, 2 * y + j, part)
                 if child is not None:
-                    mosaic[j * TILE : (j + 1) * TILE, i * TILE : (i + 1) * TILE] = child
+                    tiles[i, j] = child
                     children.append((2 * x + i, 2 * y + j))
-        if not children:
-            return None
-        shrunk = cv2.resize(mosaic, (width, height), interpolation=cv2.INTER_AREA)
-        return np.asarray(shrunk, dtype=np.uint8)
-
-    def _quarter(self, block: Pixels, z: int, i: int, j: int) -> Pixels:
-        half = TILE * 2 ** (self.depth - z - 1)
-        return block[j * half : (j + 1) * half, i * half : (i + 1) * half]
+        return mean_of_children(tiles, TILE, (width, height)) if tiles else None
 
     def _put(self, z: int, x: int, y: int, tile: Pixels, children: list[tuple[int, int]]) -> None:
         small = self.depth - z < SMALL_LEVELS

@@ -6,18 +6,17 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from exports.open_raster import OpenRaster
+from exports.raster_colour import Pixels, colour_bands, premultiplied, straight, stretches
 from georef_gis.errors import ExportError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, meridian_radius, metres_per_unit, prime_vertical_radius
-
-Pixels = NDArray[np.uint8]
 
 # px; between the nodes the transformation is taken as linear (error far below 0.01 px)
 MESH_STEP = 64
@@ -30,8 +29,6 @@ _PLAIN_PNG: list[int] = []
 if hasattr(cv2, "IMWRITE_PNG_FILTER"):
     _PLAIN_PNG += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
     _PLAIN_PNG += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_DEFAULT]
-# px of a decimated reading from which brightness is judged
-SAMPLE = 512
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +63,7 @@ class LatLonGrid:
         )
 
 
-class MosaicPicture:
+class MosaicPicture(OpenRaster):
     """A GeoTIFF in the project CRS, read as 8-bit colour with alpha in latitude and longitude.
 
     The way from degrees to pixels is the project's own (`MapFrame`, datum step included), so the
@@ -74,38 +71,21 @@ class MosaicPicture:
     """
 
     def __init__(self, path: Path, frame: MapFrame) -> None:
-        import rasterio
-
-        self._files = ExitStack()
-        self.path, self.frame = path, frame
-        self._files.enter_context(rasterio.Env(GDAL_CACHEMAX=CACHE_MB))
-        self._full = self._files.enter_context(rasterio.open(path))
-        if self._full.crs is None:
-            raise ExportError(f"{path.name}: has no CRS; make the mosaic again")
-        self._levels: dict[int, Any] = {1: self._full}
-        for k, factor in enumerate(self._full.overviews(1)):
-            level = self._files.enter_context(rasterio.open(path, overview_level=k))
-            self._levels[factor] = level
-        self._bands = _colour_bands(self._full)
-        self._range = _brightness_range(self._full, self._bands)
-        self.grid = self._make_grid()
-
-    def __enter__(self) -> Self:
-        """Give the open picture."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the files."""
-        self._files.close()
+        super().__init__(path, CACHE_MB)
+        with ExitStack() as on_error:
+            on_error.callback(self.close)
+            self.path, self.frame = path, frame
+            if self.full.crs is None:
+                raise ExportError(f"{path.name}: has no CRS; make the mosaic again")
+            self._bands = colour_bands(self.full)
+            eight_bit = self.full.dtypes[0] == "uint8"
+            self._stretch = None if eight_bit else stretches(self.full, self._bands)
+            self.grid = self._make_grid()
+            on_error.pop_all()
 
     def _make_grid(self) -> LatLonGrid:
         """Grid over the mosaic whose pixels are as large as the mosaic's."""
-        ds, origin = self._full, self.frame.origin
+        ds, origin = self.full, self.frame.origin
         t = np.linspace(0.0, 1.0, 33)
         zero, one = np.zeros_like(t), np.ones_like(t)
         rim = np.concatenate(
@@ -135,7 +115,7 @@ class MosaicPicture:
 
     def _geo_from_colrow(self, colrow: Array) -> Array:
         """Lat, lon in rad of outer-corner pixel coordinates at full resolution; (n, 2)."""
-        t = self._full.transform
+        t = self.full.transform
         x = t.a * colrow[:, 0] + t.b * colrow[:, 1] + t.c
         y = t.d * colrow[:, 0] + t.e * colrow[:, 1] + t.f
         h = np.full(len(colrow), self.frame.origin.height_ellipsoidal)
@@ -145,7 +125,7 @@ class MosaicPicture:
         """Outer-corner pixel coordinates at full resolution of degrees; (..., 2)."""
         h = np.full(lon.shape, self.frame.origin.height_ellipsoidal)
         p = self.frame.map_from_geo(np.stack([np.radians(lat), np.radians(lon), h], axis=-1))
-        t = ~self._full.transform
+        t = ~self.full.transform
         x, y = p[..., 0], p[..., 1]
         return np.stack([t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f], axis=-1)
 
@@ -155,14 +135,14 @@ class MosaicPicture:
         None where the mosaic has nothing.
         """
         wanted = grid.dlat / self.grid.dlat
-        factor = max(f for f in self._levels if f <= max(wanted * 1.001, 1.0))
-        ds = self._levels[factor]
+        factor = self.factor_for(wanted)
+        ds = self.levels[factor]
         us, vs = _nodes(cols), _nodes(rows)
         lonlat = np.meshgrid(
             grid.west + (col + us) * grid.dlon, grid.north - (row + vs) * grid.dlat
         )
         at = self._colrow_from_lonlat(*lonlat)
-        at *= (ds.width / self._full.width, ds.height / self._full.height)
+        at *= (ds.width / self.full.width, ds.height / self.full.height)
         # Between nodes all is linear, so they bound the block.
         low = np.floor(at.min(axis=(0, 1))).astype(int) - 2
         high = np.ceil(at.max(axis=(0, 1))).astype(int) + 2
@@ -192,22 +172,8 @@ class MosaicPicture:
         bands = ds.read(self._bands, window=part, out_shape=(len(self._bands), *size),
                         resampling=how)  # fmt: skip
         mask = ds.dataset_mask(window=part, out_shape=size, resampling=Resampling.nearest)
-        channels = [self._to_byte(bands[min(2 - i, len(bands) - 1)], i) for i in range(3)]
-        out = np.asarray(cv2.merge([*channels, mask]), dtype=np.uint8)
-        partly = (mask > 0) & (mask < 255)
-        if partly.any():
-            share = mask[partly, None].astype(np.uint16)
-            out[partly, :3] = (out[partly, :3] * share + 127) // 255
-        # Colour under no opacity must not bleed in.
-        out = np.asarray(cv2.bitwise_and(out, out, mask=mask), dtype=np.uint8)
+        out = premultiplied(bands, mask, self._stretch)
         return out, np.array([size[1] / window[2], size[0] / window[3]])
-
-    def _to_byte(self, band: NDArray[Any], channel: int) -> Pixels:
-        if self._range is None:
-            return np.asarray(band, dtype=np.uint8)
-        low, high = self._range[min(2 - channel, len(self._range) - 1)]
-        value = (np.nan_to_num(band.astype(np.float32)) - low) * (255.0 / max(high - low, 1e-9))
-        return np.asarray(np.clip(np.rint(value), 0, 255), dtype=np.uint8)
 
 
 def _nodes(size: int) -> Array:
@@ -232,42 +198,6 @@ def _place(nodes: Array, size: int) -> tuple[NDArray[np.intp], Array]:
     at = (np.arange(size) + 0.5) / size * (len(nodes) - 1)
     along = np.minimum(at.astype(np.intp), len(nodes) - 2)
     return along, at - along
-
-
-def _colour_bands(ds: Any) -> list[int]:
-    """Numbers of the bands to show as red, green, blue; one band is shown in grey."""
-    from rasterio.enums import ColorInterp
-
-    kinds = list(ds.colorinterp)
-    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-    if all(kind in kinds for kind in wanted):
-        return [kinds.index(kind) + 1 for kind in wanted]
-    plain = [i + 1 for i, kind in enumerate(kinds) if kind is not ColorInterp.alpha]
-    return plain[:3] if len(plain) >= 3 else plain[:1]
-
-
-def _brightness_range(ds: Any, bands: list[int]) -> list[tuple[float, float]] | None:
-    """Per band the 1st and 99th percentile, which become black and white; None for 8 bit."""
-    if ds.dtypes[0] == "uint8":
-        return None
-    scale = max(1.0, max(ds.width, ds.height) / SAMPLE)
-    size = (max(1, int(ds.height / scale)), max(1, int(ds.width / scale)))
-    valid = ds.dataset_mask(out_shape=size) > 0
-    out = []
-    for band in ds.read(bands, out_shape=(len(bands), *size)):
-        values = band[valid & np.isfinite(band)]
-        low, high = np.percentile(values, [1, 99]) if values.size else (0.0, 1.0)
-        out.append((float(low), float(high)))
-    return out
-
-
-def straight(premultiplied: Pixels) -> Pixels:
-    """BGRA with colour as it is seen, from colour premultiplied by alpha."""
-    alpha = premultiplied[..., 3:].astype(np.uint16)
-    colour = premultiplied[..., :3].astype(np.uint16)
-    out = premultiplied.copy()
-    out[..., :3] = np.minimum((colour * 255 + alpha // 2) // np.maximum(alpha, 1), 255)
-    return out
 
 
 def encode(premultiplied: Pixels, quality: int, *, small: bool = False) -> tuple[str, bytes]:

@@ -8,7 +8,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from exports.kml_picture import Pixels, straight
+from exports.raster_colour import Pixels, straight
 
 Encode = Callable[[Pixels], bytes]
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
+from exports.open_raster import OpenRaster
+from exports.raster_colour import SAMPLE, colour_bands, premultiplied, stretches
 from exports.web_mercator import RasterPlace
 from georef_gis.rasters.warp import upsample
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import TracebackType
 
-    from numpy.typing import NDArray
-
-    from exports.kml_picture import Pixels
+    from exports.raster_colour import Pixels
     from georef_gis.frames import Array
     from georef_gis.geodesy import MapFrame
 
@@ -28,15 +27,11 @@ MESH_STEPS = (64, 32, 16, 8, 4)
 MESH_ERROR = 0.03
 # MB; some rows of tiles, so that neighbouring blocks do not decode them twice
 CACHE_MB = 128
-# px of a decimated reading from which brightness is judged
-SAMPLE = 512
-# %; what becomes black and white of pixels that are not 8-bit
-DARK, BRIGHT = 1.0, 99.0
 # px; side in which an overview shows a tile whose emptiness is asked for
 GLANCE = 128
 
 
-class WebPicture:
+class WebPicture(OpenRaster):
     """A raster in any CRS, read as premultiplied BGRA on grids of web mercator.
 
     Parameters
@@ -46,34 +41,16 @@ class WebPicture:
     """
 
     def __init__(self, path: Path, frame: MapFrame | None) -> None:
-        import rasterio
-
-        with ExitStack() as files:
-            files.enter_context(rasterio.Env(GDAL_CACHEMAX=CACHE_MB))
-            self._full = files.enter_context(rasterio.open(path))
-            self._levels: dict[int, Any] = {1: self._full}
-            for k, factor in enumerate(self._full.overviews(1)):
-                level = files.enter_context(rasterio.open(path, overview_level=k))
-                self._levels[factor] = level
-            self.place = RasterPlace(self._full, path.name, frame)
-            self._bands = _colour_bands(self._full)
-            self.stretch = _stretch(self._full, self._levels[max(self._levels)], self._bands)
+        super().__init__(path, CACHE_MB)
+        with ExitStack() as on_error:
+            on_error.callback(self.close)
+            self.place = RasterPlace(self.full, path.name, frame)
+            self._bands = colour_bands(self.full)
+            eight_bit = all(self.full.dtypes[band - 1] == "uint8" for band in self._bands)
+            self.stretch = None if eight_bit else stretches(self.coarsest, self._bands)
             """Per band the values that become black and white; None for 8 bit."""
             self._step = self._mesh_step()
-            self._files = files.pop_all()
-
-    def __enter__(self) -> Self:
-        """Give the open picture."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the files."""
-        self._files.close()
+            on_error.pop_all()
 
     def coarseness(self, pixel: float) -> float:
         """Pixels of the overview that fits best per pixel of a grid, along a side."""
@@ -81,7 +58,7 @@ class WebPicture:
 
     def valid_share(self) -> float:
         """Part of the raster's box that has pixels, from its coarsest overview."""
-        coarsest = self._levels[max(self._levels)]
+        coarsest = self.coarsest
         scale = max(1.0, max(coarsest.width, coarsest.height) / SAMPLE)
         size = (math.ceil(coarsest.height / scale), math.ceil(coarsest.width / scale))
         return float((coarsest.dataset_mask(out_shape=size) > 0).mean())
@@ -103,8 +80,8 @@ class WebPicture:
         at = self.place.colrow_from_mercator(np.stack(nodes, axis=-1))
         if not np.isfinite(at).all():
             return True
-        ds = self._levels[self._factor(side / GLANCE)]
-        at *= (ds.width / self._full.width, ds.height / self._full.height)
+        ds = self.levels[self._factor(side / GLANCE)]
+        at *= (ds.width / self.full.width, ds.height / self.full.height)
         # Sides may bulge between the nodes.
         margin = 2 + int(np.ptp(at, axis=(0, 1)).max() / 16)
         window = _window(at, margin, ds)
@@ -124,9 +101,9 @@ class WebPicture:
         side
             px
         """
-        ds = self._levels[self._factor(pixel)]
+        ds = self.levels[self._factor(pixel)]
         at = self._nodes(x, y, pixel, side)
-        at *= (ds.width / self._full.width, ds.height / self._full.height)
+        at *= (ds.width / self.full.width, ds.height / self.full.height)
         corner = np.floor(np.nanmin(at, axis=(0, 1)))
         uv = np.ascontiguousarray(upsample(at - corner, self._step, (side, side)))
         rim = np.concatenate([uv[0], uv[-1], uv[:, 0], uv[:, -1]]) + corner
@@ -144,8 +121,7 @@ class WebPicture:
 
     def _factor(self, pixel: float) -> int:
         """Of the coarsest overview that is at least as fine as a grid."""
-        wanted = pixel / self.place.native_pixel
-        return max(factor for factor in self._levels if factor <= max(wanted * 1.001, 1.0))
+        return self.factor_for(pixel / self.place.native_pixel)
 
     def _nodes(self, x: float, y: float, pixel: float, side: int) -> Array:
         """Pixel coordinates in the middle of cells of the mesh, one cell around the block."""
@@ -174,24 +150,7 @@ class WebPicture:
         mask = ds.dataset_mask(window=window)
         if not mask.any():
             return None
-        bands = [
-            self._to_byte(band, i) for i, band in enumerate(ds.read(self._bands, window=window))
-        ]
-        blue_green_red = bands[::-1] if len(bands) == 3 else bands * 3
-        out = np.asarray(cv2.merge([*blue_green_red, mask]), dtype=np.uint8)
-        partly = (mask > 0) & (mask < 255)
-        if partly.any():
-            share = mask[partly, None].astype(np.uint16)
-            out[partly, :3] = (out[partly, :3] * share + 127) // 255
-        # Colour under no opacity must not bleed in.
-        return np.asarray(cv2.bitwise_and(out, out, mask=mask), dtype=np.uint8)
-
-    def _to_byte(self, band: NDArray[Any], number: int) -> Pixels:
-        if self.stretch is None:
-            return np.asarray(band, dtype=np.uint8)
-        low, high = self.stretch[number]
-        value = (np.nan_to_num(band.astype(np.float32)) - low) * (255.0 / max(high - low, 1e-9))
-        return np.asarray(np.clip(np.rint(value), 0, 255), dtype=np.uint8)
+        return premultiplied(ds.read(self._bands, window=window), mask, self.stretch)
 
 
 def _window(at: Array, margin: int, ds: Any) -> Any:
@@ -205,30 +164,3 @@ def _window(at: Array, margin: int, ds: Any) -> Any:
     if right <= left or bottom <= top:
         return None
     return Window(int(left), int(top), int(right - left), int(bottom - top))
-
-
-def _colour_bands(ds: Any) -> list[int]:
-    """Numbers of the bands to show as red, green, blue; one band is shown in grey."""
-    from rasterio.enums import ColorInterp
-
-    kinds = list(ds.colorinterp)
-    wanted = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
-    if all(kind in kinds for kind in wanted):
-        return [kinds.index(kind) + 1 for kind in wanted]
-    plain = [i + 1 for i, kind in enumerate(kinds) if kind is not ColorInterp.alpha]
-    return plain[:3] if len(plain) >= 3 else plain[:1]
-
-
-def _stretch(full: Any, coarsest: Any, bands: list[int]) -> list[tuple[float, float]] | None:
-    """Per band the percentiles that become black and white; None for 8 bit."""
-    if all(full.dtypes[band - 1] == "uint8" for band in bands):
-        return None
-    scale = max(1.0, max(coarsest.width, coarsest.height) / SAMPLE)
-    size = (max(1, int(coarsest.height / scale)), max(1, int(coarsest.width / scale)))
-    valid = coarsest.dataset_mask(out_shape=size) > 0
-    out = []
-    for band in coarsest.read(bands, out_shape=(len(bands), *size)):
-        values = band[valid & np.isfinite(band)]
-        low, high = np.percentile(values, [DARK, BRIGHT]) if values.size else (0.0, 1.0)
-        out.append((float(low), float(high)))
-    return out

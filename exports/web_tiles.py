@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Literal, Protocol
 
+from exports.raster_source import raster_of
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -70,7 +71,7 @@ def write_tiles(
     """
     from rasterio.errors import RasterioError
 
-    path = _raster_of(source)
+    path = raster_of(source)
     check_cancelled(feedback)
     try:
         return _write(path, source, options, feedback, sink_of)
@@ -112,17 +113,6 @@ def _write(
     return ExportReport(crs=CRS, height_kind="none", features=walk.count, warnings=warnings)
 
 
-def _raster_of(source: LayerSource) -> Path:
-    path = source.path
-    if path is None or path.is_dir():
-        raise ExportError(
-            f"layer {source.layer} is not one raster; use mosaic or the file of one ortho"
-        )
-    if not path.is_file():
-        raise ExportError(f"{path}: is not there; run `georef run` first")
-    return path
-
-
 def _frame_of(source: LayerSource) -> MapFrame | None:
     """The project's frame, if it has one yet."""
     from georef_gis.project.records import load_frame
@@ -146,7 +136,7 @@ def _texts(source: LayerSource, path: Path) -> tuple[str, str]:
 
 def _doubts(picture: WebPicture, name: str) -> tuple[str, ...]:
     """What a user should know of the tiles' pixels."""
-    from exports.web_picture import BRIGHT, DARK
+    from exports.raster_colour import BRIGHT, DARK
 
     found = []
     if picture.stretch is not None:

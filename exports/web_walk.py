@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import cv2
-import numpy as np
-
+from exports.quad_tiles import mean_of_children, quarter
 from exports.web_mercator import WORLD, pixel_size, tile_corner
 
 if TYPE_CHECKING:
-    from exports.kml_picture import Pixels
+    from exports.raster_colour import Pixels
     from exports.web_encoding import Encode
     from exports.web_picture import WebPicture
     from exports.web_plan import TileSet
@@ -112,22 +110,12 @@ class TileWalk:
     ) -> Pixels | None:
         """Tile from its four children, which are made first."""
         size = self.tiles.tile_size
-        four = np.zeros((2 * size, 2 * size, 4), dtype=np.uint8)
-        start, part, empty = share[0], share[1] / 4.0, True
+        start, part = share[0], share[1] / 4.0
+        children: dict[tuple[int, int], Pixels] = {}
         for number, (j, i) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-            piece = None if block is None else _quarter(block, i, j)
+            piece = None if block is None else quarter(block, i, j, len(block) // 2)
             its = (start + number * part, part)
             child = self._build(zoom + 1, 2 * x + i, 2 * y + j, piece, its)
             if child is not None:
-                four[j * size : (j + 1) * size, i * size : (i + 1) * size] = child
-                empty = False
-        if empty:
-            return None
-        # Colour is premultiplied, so missing pixels weigh nothing in the mean.
-        half = cv2.resize(four, (size, size), interpolation=cv2.INTER_AREA)
-        return np.asarray(half, dtype=np.uint8)
-
-
-def _quarter(block: Pixels, i: int, j: int) -> Pixels:
-    half = len(block) // 2
-    return block[j * half : (j + 1) * half, i * half : (i + 1) * half]
+                children[i, j] = child
+        return mean_of_children(children, size, (size, size)) if children else None

@@ -14,7 +14,7 @@ from georef_gis.ingest.poses_angles import attitude_of, check_angle_unit, sigma_
 from georef_gis.ingest.poses_blocks import Placing, block_format, read_block_poses
 from georef_gis.ingest.poses_places import geo_of
 from georef_gis.ingest.poses_table import PoseFormat, pose_table
-from georef_gis.ingest.tables import Lines, height_of, height_unit, parse_table_crs, read_lines
+from georef_gis.ingest.tables import Lines, Row, height_of, height_unit, parse_table_crs, read_lines
 from georef_gis.model.photo import AttitudeTag, Geotag
 
 FORMATS: tuple[PoseFormat, ...] = get_args(PoseFormat)
@@ -78,16 +78,7 @@ def read_poses(
     out: dict[str, PoseOfFile] = {}
     seen: dict[str, int] = {}
     for row in table.rows:
-        name = row.text("name")
-        if not name:
-            raise InputError("the photo's name is missing", source=row.source, field="name")
-        if name.lower() in seen:
-            raise InputError(
-                f"'{name}' stands in line {seen[name.lower()]} too; keep one of the two",
-                source=row.source,
-                field="name",
-            )
-        seen[name.lower()] = row.line
+        name = _name_of(row, seen)
         lat, lon = to_geo(row)
         geotag = Geotag(
             lat=lat,
@@ -99,6 +90,21 @@ def read_poses(
         )
         out[name] = geotag, attitude_of(row, angle_unit)
     return out
+
+
+def _name_of(row: Row, seen: dict[str, int]) -> str:
+    """Name of a row's photo, which joins those `seen` so far, in lower case, with their lines."""
+    name = row.text("name")
+    if not name:
+        raise InputError("the photo's name is missing", source=row.source, field="name")
+    if name.lower() in seen:
+        raise InputError(
+            f"'{name}' stands in line {seen[name.lower()]} too; keep one of the two",
+            source=row.source,
+            field="name",
+        )
+    seen[name.lower()] = row.line
+    return name
 
 
 def _positions(path: Path, near: tuple[float, float] | None) -> dict[str, Geotag]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from georef_gis.measure.accuracy_statement import AccuracyReport
+    from georef_gis.measure.accuracy_report import AccuracyReport
     from georef_gis.measure.accuracy_statistics import AxisStatistics
 
 # Okabe and Ito's colours, which the colour-blind tell apart.

@@ -111,9 +111,7 @@ def exposure_poses(
     n = len(ids)
     L, M, own = np.zeros((n, 6, 6)), np.zeros((n, 6, 9)), np.zeros((n, 6, 6))
     poses = []
-    shared = np.diag([
-        *[mount.sigma_lever_arm**2] * 3, *[mount.sigma_boresight**2] * 3, *[sigma_datum**2] * 2, 0.0
-    ])  # fmt: skip
+    shared = _shared_covariance(mount, sigma_datum)
     turned = _coarse_times(trajectory, times, variance_of_time, origin)
     p_imu = origin.enu_from_geo(states.p_geo)
     R_en = R_enu_from_ned(origin.lat, origin.lon, states.p_geo[:, 0], states.p_geo[:, 1])
@@ -146,6 +144,13 @@ def exposure_poses(
         ids=tuple(ids), poses=tuple(poses), chain=chain, to_pose=L, mount=M,
         mount_covariance=shared, own=own,
     )  # fmt: skip
+
+
+def _shared_covariance(mount: Mount, sigma_datum: float) -> Array:
+    """Covariance of what all exposures share: lever arm, boresight, datum; (9, 9), m and rad."""
+    return np.diag([
+        *[mount.sigma_lever_arm**2] * 3, *[mount.sigma_boresight**2] * 3, *[sigma_datum**2] * 2, 0.0
+    ])  # fmt: skip
 
 
 def _sensitivities(R_en: Array, R_eb: Array, arm: Array, *, held: bool) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from georef_gis.errors import GeorefError, MissingMetadataError
 from georef_gis.frames import Array, R_enu_from_ned, exp_so3, skew
 from georef_gis.geodesy import Origin
-from georef_gis.model.photo import AttitudeTag, Photo
+from georef_gis.model.photo import AttitudeTag, Geotag, Photo
 from georef_gis.model.pose import Mount, Pose
 from georef_gis.orient.dialects import R_enu_from_cam_of_tag, dialect
 from georef_gis.orient.heights import Heights
@@ -156,18 +156,8 @@ def _direct_pose(
     course: float | None,
     convergence_at: Callable[[Array], float],
 ) -> DirectPose:
-    tag = photo.geotag
-    if tag is None:
-        raise MissingMetadataError(
-            "no GPS position; give one in a pose file ([poses] file)", source=photo.id, field="GPS"
-        )
-    if photo.id not in heights.cameras:
-        raise MissingMetadataError(
-            "no height; give one in a pose file or set [ground] height_above_ground_m",
-            source=photo.id,
-            field="GPSAltitude",
-        )
-    p_tag = origin.enu_from_geo([tag.lat, tag.lon, heights.cameras[photo.id]])
+    tag, height = _place(photo, heights)
+    p_tag = origin.enu_from_geo([tag.lat, tag.lon, height])
     convergence = convergence_at(p_tag)
     attitude, sigma_rp, sigma_yaw, doubts = _attitude(photo, settings, course, convergence)
     if photo.id in heights.photo_doubts:
@@ -205,6 +195,21 @@ def _direct_pose(
         turned_deg=int(turned),
         doubts=tuple(doubts),
     )
+
+
+def _place(photo: Photo, heights: Heights) -> tuple[Geotag, float]:
+    """Position of a photo by its tag, and its height, m over the ellipsoid."""
+    if photo.geotag is None:
+        raise MissingMetadataError(
+            "no GPS position; give one in a pose file ([poses] file)", source=photo.id, field="GPS"
+        )
+    if photo.id not in heights.cameras:
+        raise MissingMetadataError(
+            "no height; give one in a pose file or set [ground] height_above_ground_m",
+            source=photo.id,
+            field="GPSAltitude",
+        )
+    return photo.geotag, heights.cameras[photo.id]
 
 
 def _orthonormal(R: Array) -> Array:

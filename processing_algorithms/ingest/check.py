@@ -11,10 +11,14 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, che
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from georef_gis.frames import Array
     from georef_gis.geodesy import MapFrame
+    from georef_gis.model.camera import Camera
     from georef_gis.model.layers import Footprint
     from georef_gis.model.photo import Photo
+    from georef_gis.orient.heights import Heights
 
 # px; more motion than this during the exposure is seen
 MOTION_LIMIT = 1.5
@@ -119,14 +123,9 @@ def _footprints(
     result: Any, photos: list[Photo], height: float | None
 ) -> tuple[MapFrame | None, list[Footprint], list[str]]:
     """Footprints on flat ground from the tags, and what is doubtful about the poses."""
-
     from georef_gis.errors import GeorefError
     from georef_gis.geodesy import MapFrame, Origin, utm_crs
-    from georef_gis.model.photo import OrientedPhoto
-    from georef_gis.model.pose import Mount
-    from georef_gis.orient.direct import DirectSettings, direct_poses
     from georef_gis.orient.heights import GroundSetting, solve_heights
-    from georef_gis.rectify.footprints import footprint
     from processing_algorithms.site import middle_of
 
     placed = [photo for photo in photos if photo.geotag is not None]
@@ -136,40 +135,46 @@ def _footprints(
     lat, lon = middle_of(tags)
     origin = Origin(lat=lat, lon=lon, height_ellipsoidal=0.0)
     frame = MapFrame(origin, utm_crs(origin.lat, origin.lon))
-    doubts: list[str] = []
-    prints: list[Footprint] = []
     try:
         heights = solve_heights(placed, origin, GroundSetting(height_above_ground=height))
     except GeorefError:
-        return (
-            frame,
-            [],
-            ["the tags state no height above ground: give --height to check the coverage"],
-        )
-    for photo, pose in zip(
-        placed,
-        direct_poses(
-            placed,
-            origin,
-            heights,
-            Mount(),
-            DirectSettings(),
-            convergence_at=frame.convergence_at,
-        ),
-        strict=True,
-    ):
+        why = "the tags state no height above ground: give --height to check the coverage"
+        return frame, [], [why]
+    prints, doubts = _prints(placed, result.cameras, frame, heights)
+    return frame, prints, doubts
+
+
+def _prints(
+    photos: Sequence[Photo], cameras: Mapping[str, Camera], frame: MapFrame, heights: Heights
+) -> tuple[list[Footprint], list[str]]:
+    """Footprints of photos whose heights are known, and what is doubtful about their poses."""
+    from georef_gis.errors import GeorefError
+    from georef_gis.model.photo import OrientedPhoto
+    from georef_gis.model.pose import Mount
+    from georef_gis.orient.direct import DirectSettings, direct_poses
+    from georef_gis.rectify.footprints import footprint
+
+    doubts: list[str] = []
+    prints: list[Footprint] = []
+    poses = direct_poses(
+        photos,
+        frame.origin,
+        heights,
+        Mount(),
+        DirectSettings(),
+        convergence_at=frame.convergence_at,
+    )
+    for photo, pose in zip(photos, poses, strict=True):
         doubts += [f"{photo.id}: {doubt}" for doubt in pose.doubts]
         if pose.pose is None:
             doubts.append(str(pose.refused))
             continue
-        oriented = OrientedPhoto(
-            photo=photo, camera=result.cameras[photo.camera_id], pose=pose.pose
-        )
+        oriented = OrientedPhoto(photo=photo, camera=cameras[photo.camera_id], pose=pose.pose)
         try:
             prints.append(footprint(oriented, heights.terrain, frame))
         except GeorefError as error:
             doubts.append(str(error))
-    return frame, prints, doubts
+    return prints, doubts
 
 
 def _coverage(frame: MapFrame, prints: list[Footprint]) -> tuple[list[Array], dict[str, Any]]:

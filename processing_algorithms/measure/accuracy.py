@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from georef_gis.frames import Array
     from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets
     from georef_gis.measure.accuracy_mosaic import MarkedPhoto, MosaicPlace, MosaicReader
-    from georef_gis.measure.accuracy_statement import SeamFinding, Survey
+    from georef_gis.measure.accuracy_report import SeamFinding, Survey
     from georef_gis.model.intersection import Intersection, JointCovariance
     from georef_gis.project import Project
     from processing_algorithms.site import Site
@@ -73,7 +73,8 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
     def run(self, context: Context, parameters: AccuracyParameters, feedback: Feedback) -> Result:
         """Measure, judge and write."""
-        from georef_gis.measure.accuracy_statement import AccuracyReport, statement_metadata
+        from georef_gis.measure.accuracy_metadata import statement_metadata
+        from georef_gis.measure.accuracy_report import AccuracyReport
         from georef_gis.rasters.aux_metadata import write_aux_metadata
         from processing_algorithms.site import load_site
 
@@ -111,7 +112,7 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
 def _seams(project: Project) -> SeamFinding | None:
     """What the mosaic measured of its seams."""
-    from georef_gis.measure.accuracy_statement import SeamFinding
+    from georef_gis.measure.accuracy_report import SeamFinding
 
     found = (project.database.meta("mosaic") or {}).get("seam_mismatch") or {}
     if not found.get("accepted"):
@@ -189,7 +190,7 @@ class _Points:
         """What is known of the survey and the site."""
         import numpy as np
 
-        from georef_gis.measure.accuracy_statement import Survey
+        from georef_gis.measure.accuracy_report import Survey
 
         datums = sorted({self.rows[n]["datum"] or "unknown" for n in self.checks}) or ["unknown"]
         kinds = sorted({self.rows[n]["height_kind"] or "unknown" for n in self.checks})

@@ -12,7 +12,7 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets
-    from georef_gis.measure.accuracy_statement import AccuracyReport, Survey
+    from georef_gis.measure.accuracy_report import AccuracyReport, Survey
 
 JSON, TEXT = "accuracy.json", "accuracy.txt"
 _COLUMNS = ("name", "dx", "dy", "dz")
@@ -53,7 +53,8 @@ class AccuracyTable(Algorithm[AccuracyTableParameters]):
         self, context: Context, parameters: AccuracyTableParameters, feedback: Feedback
     ) -> Result:
         """Judge and tell, and write if a folder is named."""
-        from georef_gis.measure.accuracy_statement import AccuracyReport, statement_text
+        from georef_gis.measure.accuracy_report import AccuracyReport
+        from georef_gis.measure.accuracy_statement import statement_text
 
         report = AccuracyReport(
             title=parameters.table.name,
@@ -88,7 +89,7 @@ def assessment_of_table(path: Path, targets: Targets) -> Assessment:
 def _survey_of_table(path: Path) -> Survey:
     """What `# datum: NAD83(2011)@2010.0` and the like above the columns say."""
     from georef_gis.ingest.tables import read_lines
-    from georef_gis.measure.accuracy_statement import Survey
+    from georef_gis.measure.accuracy_report import Survey
 
     header = read_lines(path).header
     return Survey(
@@ -165,8 +166,9 @@ def write_statement(report: AccuracyReport, folder: Path) -> dict[str, Path]:
     """Write the statement, the JSON and the pictures; pictures of an older one are removed."""
     import json
 
+    from georef_gis.measure.accuracy_metadata import statement_json
     from georef_gis.measure.accuracy_plots import accuracy_pictures
-    from georef_gis.measure.accuracy_statement import statement_json, statement_text
+    from georef_gis.measure.accuracy_statement import statement_text
     from georef_gis.rasters.files import export_errors, whole_file
 
     told = json.dumps(statement_json(report), indent=2, allow_nan=False) + "\n"
@@ -185,7 +187,8 @@ def write_statement(report: AccuracyReport, folder: Path) -> dict[str, Path]:
 
 def account_of(report: AccuracyReport, outputs: Mapping[str, Path]) -> dict[str, Any]:
     """Figures of the run's record, and doubts where something was tested."""
-    from georef_gis.measure.accuracy_statement import report_flags, sentence, statement_components
+    from georef_gis.measure.accuracy_report import report_flags
+    from georef_gis.measure.accuracy_sentences import sentence, statement_components
 
     main = report.main
     tested = {c.name: c for c in main.components if c.n and not c.vegetated}

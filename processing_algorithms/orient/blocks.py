@@ -17,7 +17,8 @@ from georef_gis.frames import exp_so3
 from georef_gis.model.camera import Camera
 from georef_gis.model.control import ControlObservations
 from georef_gis.model.photo import OrientedPhoto
-from georef_gis.model.terrain import DemTerrain
+from georef_gis.model.pose import Pose
+from georef_gis.model.terrain import DemTerrain, Terrain
 from georef_gis.model.tie_points import TiePoints
 from georef_gis.model.tin import TinTerrain
 from georef_gis.orient.adjustment.block import (
@@ -26,7 +27,6 @@ from georef_gis.orient.adjustment.block import (
     Block,
     CameraPrior,
     ControlInput,
-    FlightPrior,
     GroundPrior,
 )
 from georef_gis.orient.adjustment.build import (
@@ -36,17 +36,10 @@ from georef_gis.orient.adjustment.build import (
     sensor_views,
 )
 from georef_gis.orient.adjustment.keep import load_ties
-from georef_gis.orient.adjustment.priors import (
-    SIGMA_EVENT_CLOCK,
-    MountPrior,
-    camera_prior,
-    navigation_prior,
-    tag_prior,
-    times_of,
-)
+from georef_gis.orient.adjustment.priors import camera_prior
 from georef_gis.project import Project
-from georef_gis.project.columns_file import read_columns
 from georef_gis.project.records import camera_of
+from processing_algorithms.orient.flight_priors import flight_priors
 from processing_algorithms.orient.match import MATCHES, TIES
 from processing_algorithms.site import Site
 
@@ -55,10 +48,10 @@ RELIEF_SHARE = 0.08
 LEAST_RELIEF = 2.0
 # m, one sigma: no photo shares less of its height with the ground than a control point's
 LEAST_LEVEL = 0.5
-# s; photos further apart are of two flights
-PAUSE = 1800.0
 # of the height above ground; photos all within it were not flown, or their positions are none
 ONE_PLACE = 0.02
+# What matching says of headings, by photo.
+Turns = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,23 +112,68 @@ def prepare(
     ties, matches = load_matches(project)
     ties = _of_photos(ties, tuple(site.photos))
     turns = matches.get("turns") or {}
-    database = project.database
-    cameras = {row["camera_id"]: camera_of(row) for row in database.rows("camera")}
     before = _turned_before(project, site)
     _check_places(site)
+    pixels = _pixel_turns(project, site, turns, wrong_headings=wrong_headings)
+    turned = {key: (before[key] + pixels[key]) % 360 for key in site.photos}
+    views = _sensor_views(project, site, turns, pixels, turned)
+    flights = flight_priors(project, site, views)
+    moving = any(np.any(flight.velocity_enu) for flight in flights)
+    block = Block(
+        photo_ids=tuple(site.photos),
+        poses=tuple(view.pose for view in views.photos),
+        start=_start_poses(views, turns),
+        camera_of=views.camera_of,
+        cameras=tuple(
+            _with_focal(_camera_prior(c, views, calibrate, moving), focal_share)
+            for c in views.cameras
+        ),
+        flights=flights,
+        ties=views.observations(ties),
+        control=_control_input(control, views, tuple(site.photos)),
+        sigma_level=_sigma_level(control, views),
+    )
+    first = first_places(block, site.terrain)
+    return Prepared(
+        block=replace(block, ground=_ground_prior(site.terrain, block, views, first)),
+        first=first, views=views, turned=turned, control=control,
+        found_turned={key: (turned[key] - before[key]) % 360 for key in turned},
+    )  # fmt: skip
+
+
+def _quarter_of(turns: Turns, key: str) -> int:
+    """By how much matching found a photo turned against its pose, deg clockwise."""
+    return int(turns.get(key, {}).get("quarter_deg") or 0)
+
+
+def _pixel_turns(
+    project: Project, site: Site, turns: Turns, *, wrong_headings: bool
+) -> dict[str, int]:
+    """How much of what matching found turned is taken for turned pixels, deg; by photo."""
     stated = set() if not wrong_headings else set(site.photos)
     # who says how pixels are turned leaves the heading to be wrong
     stated |= {Path(name).stem for name in project.settings.attitude.rotate_photos}
-    turned, photos = {}, []
-    for key, oriented in site.photos.items():
-        quarter = int(turns.get(key, {}).get("quarter_deg") or 0)
-        pixels = quarter if key not in stated else 0
-        turned[key] = (before[key] + pixels) % 360
-        photos.append(_turned_photo(oriented, quarter, pixels, cameras))
-    views = sensor_views(photos, cameras, turned)
-    flights = _flights(project, site, views)
-    moving = any(np.any(flight.velocity_enu) for flight in flights)
-    observed = views.observations(ties)
+    return {key: 0 if key in stated else _quarter_of(turns, key) for key in site.photos}
+
+
+def _sensor_views(
+    project: Project,
+    site: Site,
+    turns: Turns,
+    pixels: Mapping[str, int],
+    turned: Mapping[str, int],
+) -> SensorViews:
+    """Photos as the sensors saw them, with what matching found turned put right."""
+    cameras = {row["camera_id"]: camera_of(row) for row in project.database.rows("camera")}
+    photos = [
+        _turned_photo(oriented, _quarter_of(turns, key), pixels[key], cameras)
+        for key, oriented in site.photos.items()
+    ]
+    return sensor_views(photos, cameras, turned)
+
+
+def _start_poses(views: SensorViews, turns: Turns) -> tuple[Pose, ...]:
+    """Poses to begin with: headings as matching found them where it is sure."""
     start = []
     for view in views.photos:
         turn = turns.get(view.id, {})
@@ -144,44 +182,35 @@ def prepare(
             # yaw is clockwise seen from above, a rotation vector counter-clockwise
             R = exp_so3([0.0, 0.0, -float(turn["yaw"])]) @ R
         start.append(replace(view.pose, R_enu_from_cam=R))
-    level = 0.0
-    if control is not None and "control" in control.role:
-        shared = max((p.pose.sigma_height_shared for p in views.photos), default=0.0)
-        level = max(shared, LEAST_LEVEL)
-    block = Block(
-        photo_ids=tuple(site.photos),
-        poses=tuple(view.pose for view in views.photos),
-        start=tuple(start),
-        camera_of=views.camera_of,
-        cameras=tuple(
-            _with_focal(_camera_prior(c, views, calibrate, moving), focal_share)
-            for c in views.cameras
-        ),
-        flights=flights,
-        ties=observed,
-        control=_control_input(control, views, tuple(site.photos)),
-        sigma_level=level,
-    )
-    first = first_places(block, site.terrain)
+    return tuple(start)
+
+
+def _sigma_level(control: ControlObservations | None, views: SensorViews) -> float:
+    """One sigma, m, of what control may add to all heights; 0 without control."""
+    if control is None or "control" not in control.role:
+        return 0.0
+    shared = max((p.pose.sigma_height_shared for p in views.photos), default=0.0)
+    return max(shared, LEAST_LEVEL)
+
+
+def _ground_prior(
+    terrain: Terrain, block: Block, views: SensorViews, first: NDArray[np.float64]
+) -> GroundPrior:
+    """What is known of the heights of tie points; `first` are first places of all points, enu."""
     relief = _relief(views, first)
-    sigma = math.hypot(site.terrain.sigma, relief)
-    measured = isinstance(site.terrain, DemTerrain) and not isinstance(site.terrain, TinTerrain)
-    ground = GroundPrior(
-        z_enu=first[: observed.n_points, 2],
+    sigma = math.hypot(terrain.sigma, relief)
+    measured = isinstance(terrain, DemTerrain) and not isinstance(terrain, TinTerrain)
+    return GroundPrior(
+        z_enu=first[: block.ties.n_points, 2],
         # relief is alike in few places, the level of a ground that nobody measured in all
         sigma=sigma if measured else relief,
-        sigma_offset=0.0 if measured else site.terrain.sigma,
-        surface=site.terrain.z_at if measured else None,
-        sigma_surface=site.terrain.sigma,
+        sigma_offset=0.0 if measured else terrain.sigma,
+        surface=terrain.z_at if measured else None,
+        sigma_surface=terrain.sigma,
         # a height datum may be taken for another: heights of flight hold it as without the surface
         sigma_free=sigma / math.sqrt(INDEPENDENT),
         sigma_other=sigma,
-    )  # fmt: skip
-    return Prepared(
-        block=replace(block, ground=ground), first=first, views=views, turned=turned,
-        control=control,
-        found_turned={key: (turned[key] - before[key]) % 360 for key in turned},
-    )  # fmt: skip
+    )
 
 
 def _camera_prior(camera: Camera, views: SensorViews, calibrate: bool, moving: bool) -> CameraPrior:
@@ -250,73 +279,6 @@ def _turned_photo(
     return OrientedPhoto(
         photo=oriented.photo, camera=oriented.camera.turned(pixels % 360), pose=pose
     )
-
-
-def _flights(project: Project, site: Site, views: SensorViews) -> tuple[FlightPrior, ...]:
-    """Priors by flight: the trajectory's joint covariance where there is one, else the tags'."""
-    joint = _exposures(project)
-    mount = project.settings.mount
-    stated = mount.model_fields_set
-    known = MountPrior(
-        sigma_lever=mount.sigma_lever_arm_m if "sigma_lever_arm_m" in stated else 0.1,
-        sigma_boresight=math.radians(mount.sigma_boresight_deg)
-        if "sigma_boresight_deg" in stated
-        else None,
-    )
-    names = [view.photo.flight_id for view in views.photos]
-    kinds = list(site.pose_kinds.values())
-    ids = list(site.photos)
-    out: list[FlightPrior] = []
-    left = set(range(len(ids)))
-    if joint is not None:
-        inside = [ids.index(str(key)) for key in joint["ids"] if str(key) in site.photos]
-        inside = [i for i in inside if kinds[i] == "navigation"]
-        if len(inside) == len(joint["ids"]):
-            photos = [views.photos[i] for i in inside]
-            clock = _sigma_clock(photos)
-            out.append(
-                navigation_prior("flight", photos, np.array(inside), joint, sigma_clock=clock)
-            )
-            left -= set(inside)
-    for kind in ("navigation", "tags"):
-        for name in dict.fromkeys(names):
-            mine = [i for i in sorted(left) if names[i] == name and kinds[i] == kind]
-            label = name if kind == "tags" else f"{name} navigation"
-            for number, part in enumerate(_flown_together(mine, views), start=1):
-                photos = [views.photos[i] for i in part]
-                title = label if number == 1 else f"{label} {number}"
-                out.append(tag_prior(title, photos, np.array(part), known))
-    return tuple(out)
-
-
-def _flown_together(indices: Sequence[int], views: SensorViews) -> list[list[int]]:
-    """Photos by flight: another camera, or a long pause, has errors of its own."""
-    groups: list[list[int]] = []
-    for camera in dict.fromkeys(int(views.camera_of[i]) for i in indices):
-        mine = [i for i in indices if views.camera_of[i] == camera]
-        times = times_of([views.photos[i].photo for i in mine])
-        order = np.argsort(times, kind="stable")
-        cuts = np.flatnonzero(np.diff(times[order]) > PAUSE) + 1
-        groups += [[mine[k] for k in part] for part in np.split(order, cuts)]
-    return [sorted(group) for group in groups if group]
-
-
-def _sigma_clock(photos: Sequence[OrientedPhoto]) -> float:
-    """One sigma, s, of the part of the exposure times that all photos of a flight share.
-
-    Times by events are a lag of the shutter apart from them; those by the camera's clock share the
-    error of its offset, which is nearly all of their sigma.
-    """
-    by_clock = [p.photo.time_sigma for p in photos if p.photo.time_source == "clock"]
-    known = [sigma for sigma in by_clock if sigma is not None]
-    if 2 * len(by_clock) <= len(photos) or not known:
-        return SIGMA_EVENT_CLOCK
-    return max(SIGMA_EVENT_CLOCK, float(np.median(known)))
-
-
-def _exposures(project: Project) -> dict[str, Any] | None:
-    path = project.navigation / "exposures.npz"
-    return read_columns(path, "exposures") if path.exists() else None
 
 
 def _relief(views: SensorViews, first: NDArray[np.float64]) -> float:

@@ -3,9 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, check_cancelled
 from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from georef_gis.model.grid import Grid
+    from georef_gis.model.layers import Footprint
+    from georef_gis.project.database import Row
+    from processing_algorithms.site import Site
 
 
 class Footprints(Algorithm[p.Parameters]):
@@ -27,55 +38,18 @@ class Footprints(Algorithm[p.Parameters]):
         """Make them."""
         import numpy as np
 
-        from georef_gis.errors import GeometryError
         from georef_gis.geodesy import metres_per_unit
-        from georef_gis.project.records import footprint_row
-        from georef_gis.rasters.profile import RasterProfile
-        from georef_gis.rasters.writer import TiledWriter
         from georef_gis.rectify.coverage import covered_area, footprint_side, holes, overlap_map
-        from georef_gis.rectify.footprints import footprint
         from processing_algorithms.site import load_site
 
         project = context.require_project()
         site = load_site(project, quick=context.quick)
-        made, rows, doubts = [], [], []
-        for i, (key, photo) in enumerate(site.photos.items()):
-            check_cancelled(feedback)
-            feedback.progress(0.9 * i / len(site.photos), key)
-            try:
-                one = footprint(photo, site.terrain, site.frame)
-            except GeometryError as error:
-                doubts.append(str(error))
-                continue
-            made.append(one)
-            own = list(site.doubts[key])
-            if one.clipped:
-                own.append("part of it looks past the ground within reach: left out")
-                doubts.append(f"{key}: {own[-1]}")
-            rows.append(footprint_row(one, pose_kind=site.pose_kinds[key], doubts=own))
-        if not made:
-            raise GeometryError(doubts[0] if doubts else "no photo has a footprint")
+        made, rows, doubts = _footprints(site, feedback)
         for doubt in doubts:
             feedback.warn(doubt)
         grid, counts = overlap_map(made, site.frame)
         target = project.products / "overlap.tif"
-        profile = RasterProfile(
-            width=grid.width,
-            height=grid.height,
-            transform=grid.transform,
-            crs_wkt=grid.crs_wkt,
-            epsg=site.frame.horizontal.to_epsg(),
-            bands=1,
-            dtype="uint16",
-            compression="deflate",
-            band_descriptions=("photos",),
-            nodata=0,
-        )
-        with TiledWriter(target, profile) as writer:
-            for row, col, window in grid.tiles(profile.tile_size):
-                part = counts[window.row :, window.col :][: window.height, : window.width]
-                if part.any():
-                    writer.write_tile(row, col, np.ascontiguousarray(part[..., None]))
+        _write_overlap(target, grid, counts, site.frame.horizontal.to_epsg())
         project.database.replace_rows("footprint", rows)
         gaps = holes(grid, counts, footprint_cells=footprint_side(made, grid, site.frame))
         cell = grid.pixel * metres_per_unit(site.frame.horizontal)
@@ -93,3 +67,63 @@ class Footprints(Algorithm[p.Parameters]):
             "doubts": doubts,
         }
         return Result(outputs={"overlap": target}, summary=summary)
+
+
+def _footprints(site: Site, feedback: Feedback) -> tuple[list[Footprint], list[Row], list[str]]:
+    """Footprints of a site's photos, their rows, and what is doubtful of them.
+
+    Raises
+    ------
+    GeometryError
+        If no photo has one.
+    """
+    from georef_gis.errors import GeometryError
+    from georef_gis.project.records import footprint_row
+    from georef_gis.rectify.footprints import footprint
+
+    made: list[Footprint] = []
+    rows: list[Row] = []
+    doubts: list[str] = []
+    for i, (key, photo) in enumerate(site.photos.items()):
+        check_cancelled(feedback)
+        feedback.progress(0.9 * i / len(site.photos), key)
+        try:
+            one = footprint(photo, site.terrain, site.frame)
+        except GeometryError as error:
+            doubts.append(str(error))
+            continue
+        made.append(one)
+        own = list(site.doubts[key])
+        if one.clipped:
+            own.append("part of it looks past the ground within reach: left out")
+            doubts.append(f"{key}: {own[-1]}")
+        rows.append(footprint_row(one, pose_kind=site.pose_kinds[key], doubts=own))
+    if not made:
+        raise GeometryError(doubts[0] if doubts else "no photo has a footprint")
+    return made, rows, doubts
+
+
+def _write_overlap(target: Path, grid: Grid, counts: NDArray[Any], epsg: int | None) -> None:
+    """Write the number of photos that show each cell of a grid; (rows, cols)."""
+    import numpy as np
+
+    from georef_gis.rasters.profile import RasterProfile
+    from georef_gis.rasters.writer import TiledWriter
+
+    profile = RasterProfile(
+        width=grid.width,
+        height=grid.height,
+        transform=grid.transform,
+        crs_wkt=grid.crs_wkt,
+        epsg=epsg,
+        bands=1,
+        dtype="uint16",
+        compression="deflate",
+        band_descriptions=("photos",),
+        nodata=0,
+    )
+    with TiledWriter(target, profile) as writer:
+        for row, col, window in grid.tiles(profile.tile_size):
+            part = counts[window.row :, window.col :][: window.height, : window.width]
+            if part.any():
+                writer.write_tile(row, col, np.ascontiguousarray(part[..., None]))

@@ -10,17 +10,11 @@ import numpy as np
 import pytest
 
 from georef_gis.measure.accuracy import CheckResidual, Targets, assess
+from georef_gis.measure.accuracy_metadata import statement_json, statement_metadata
 from georef_gis.measure.accuracy_plots import accuracy_pictures, histogram_figure, picture
-from georef_gis.measure.accuracy_statement import (
-    STANDARD,
-    AccuracyReport,
-    SeamFinding,
-    Survey,
-    sentence,
-    statement_json,
-    statement_metadata,
-    statement_text,
-)
+from georef_gis.measure.accuracy_report import AccuracyReport, SeamFinding, Survey
+from georef_gis.measure.accuracy_sentences import STANDARD, sentence
+from georef_gis.measure.accuracy_statement import statement_text
 
 
 def report(

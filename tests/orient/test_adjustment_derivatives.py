@@ -13,7 +13,7 @@ from georef_gis.model.photo import OrientedPhoto, Photo
 from georef_gis.model.pose import Pose
 from georef_gis.orient.adjustment.block import camera_vector, moved_camera_vector
 from georef_gis.orient.adjustment.flight_model import FlightModel, left_jacobian_inverse
-from georef_gis.orient.adjustment.kernels import _observe
+from georef_gis.orient.adjustment.kernels import observe
 from georef_gis.orient.adjustment.problem import Problem
 
 CAMERA = Camera(
@@ -35,7 +35,7 @@ def observed(uv, *, pose=POSE, camera=CAMERA, vector=None, point=POINT):
     J = np.zeros((2, 6)), np.zeros((2, 3)), np.zeros((2, 11))
     motion = np.concatenate([pose.velocity_enu, pose.rate_enu])
     vector = camera_vector(camera) if vector is None else vector
-    seen = _observe(
+    seen = observe(
         point, pose.origin_enu, np.ascontiguousarray(pose.R_enu_from_cam), motion, vector,
         float(camera.height), uv, r, *J, True,
     )  # fmt: skip

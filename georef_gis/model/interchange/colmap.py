@@ -329,17 +329,7 @@ def _read_points(
         if len(cells) < 8 or len(cells) % 2:
             raise InputError("POINT3D_ID X Y Z R G B ERROR TRACK are needed", source=where)
         numbers = _floats(cells[1:8], where)
-        track: dict[int, Array] = {}
-        for image_id, index in zip(cells[8::2], cells[9::2], strict=True):
-            i = seen.get(image_id)
-            if i is None or not index.isdigit() or int(index) >= len(pixels[i]):
-                raise InputError(
-                    f"pixel {index} of image {image_id} is not in images.txt",
-                    source=where,
-                    field="TRACK",
-                )
-            # A photo may see a point twice in COLMAP; the first counts.
-            track.setdefault(i, pixels[i][int(index)])
+        track = _track(cells[8:], where, seen, pixels)
         photo += list(track)
         uv += list(track.values())
         point += [len(p)] * len(track)
@@ -363,6 +353,24 @@ def _read_points(
         error_px=known if np.all(known >= 0.0) else None,
         ties=ties,
     )
+
+
+def _track(
+    cells: Sequence[str], where: str, seen: Mapping[str, int], pixels: Sequence[Array]
+) -> dict[int, Array]:
+    """Pixels of a point by photo, from pairs of an image's id and the number of a pixel."""
+    track: dict[int, Array] = {}
+    for image_id, index in zip(cells[::2], cells[1::2], strict=True):
+        i = seen.get(image_id)
+        if i is None or not index.isdigit() or int(index) >= len(pixels[i]):
+            raise InputError(
+                f"pixel {index} of image {image_id} is not in images.txt",
+                source=where,
+                field="TRACK",
+            )
+        # A photo may see a point twice in COLMAP; the first counts.
+        track.setdefault(i, pixels[i][int(index)])
+    return track
 
 
 def _floats(cells: Sequence[str], source: str) -> Array:

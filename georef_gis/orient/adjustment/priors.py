@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,9 +20,11 @@ from georef_gis.orient.adjustment.block import LARGE, CameraPrior, FlightPrior
 POSITION_SHARES = (0.3, 0.55, 0.15)
 TILT_SHARES = (0.3, 0.65, 0.05)
 YAW_SHARES = (0.2, 0.7, 0.1)
+SHARES = np.array([POSITION_SHARES] * 3 + [TILT_SHARES] * 2 + [YAW_SHARES])
 # s, correlation times of the slow parts; tilt wanders with gusts and turns: told the longer, it is
 # taken for a mount, which cancels between opposite headings and makes the block's tilt too sure
 TAU_POSITION, TAU_TILT, TAU_YAW = 100.0, 15.0, 40.0
+TAU = np.array([TAU_POSITION] * 3 + [TAU_TILT] * 2 + [TAU_YAW])
 # m and s, one sigma where nothing is stated: antenna beside the camera, position older than photo
 SIGMA_LEVER, SIGMA_TAG_CLOCK = 0.1, 0.3
 # of a tagged position's sigma: the most that its being late makes of it
@@ -161,37 +163,14 @@ def tag_prior(
     T[:, :3, :3], T[:, 3:, 3:] = np.eye(3), R_eb
     local = np.swapaxes(T, 1, 2) @ covariance @ T
     sigma = np.sqrt(np.einsum("aii->ai", local))
-    shares = np.array([POSITION_SHARES] * 3 + [TILT_SHARES] * 2 + [YAW_SHARES])
-    tau = np.array([TAU_POSITION] * 3 + [TAU_TILT] * 2 + [TAU_YAW])
     origin = np.array([p.pose.origin_enu for p in photos])
     velocity = velocities_of([p.photo for p in photos], origin, times)
-    speed_known = velocity[np.any(velocity, axis=1)]
-    # how late a tag is belongs to its error along the track, and is no more than a part of it
-    usual = float(np.median(np.linalg.norm(speed_known, axis=1))) if len(speed_known) else 0.0
-    along = CLOCK_SHARE * float(np.median(sigma[:, :2]))
-    clock = min(mount.sigma_clock, along / usual) if usual > 0.0 else 0.0
-    # what is each photo's own; one whose speed is not known is off by any clock error
-    own = shares[:, 2] * sigma**2
-    speed = np.linalg.norm(velocity, axis=1)
-    if np.any(speed):
-        own[speed == 0.0, :2] += (clock * np.median(speed[speed > 0.0])) ** 2
+    clock = _lateness(mount, sigma, velocity)
+    own = _own_variances(sigma, velocity, clock)
     # what all share is no larger than the best photo allows: some may have a fixed receiver
-    typical = np.sqrt(np.min(sigma**2, axis=0) * shares[:, 0])
-    slow = np.sqrt(np.maximum((1.0 - shares[:, 2]) * sigma**2 - typical**2, 0.0))
-
-    def joint(indices: NDArray[np.int64]) -> Array:
-        """Covariance of some of the photos, what all share taken out."""
-        k, t, spread = len(indices), times[indices], slow[indices]
-        lag = np.abs(t[:, None] - t)
-        out = np.zeros((k, 6, k, 6))
-        for c in range(6):
-            out[:, c, :, c] = np.outer(spread[:, c], spread[:, c]) * np.exp(-lag / tau[c])
-            out[np.arange(k), c, np.arange(k), c] += own[indices, c]
-        turned = np.einsum("aij,ajbk,blk->aibl", T[indices], out, T[indices])
-        flat = turned.reshape(6 * k, 6 * k)
-        return np.asarray((flat + flat.T) / 2)
-
-    white = np.einsum("aij,aj,akj->aik", T, own, T)
+    typical = np.sqrt(np.min(sigma**2, axis=0) * SHARES[:, 0])
+    slow = np.sqrt(np.maximum((1.0 - SHARES[:, 2]) * sigma**2 - typical**2, 0.0))
+    joint = _joint_of_tags(times, T, own, slow)
     boresight = mount.sigma_boresight
     shared = np.concatenate([
         np.full(3, mount.sigma_lever), typical[3:] if boresight is None else np.full(3, boresight),
@@ -201,7 +180,7 @@ def tag_prior(
         id=id,
         photos=indices,
         covariance=joint(np.arange(n)) if n <= LARGE else None,
-        white=white,
+        white=np.einsum("aij,aj,akj->aik", T, own, T),
         R_enu_from_body=R_eb,
         velocity_enu=velocity,
         rate_enu=np.zeros((n, 3)),
@@ -209,6 +188,59 @@ def tag_prior(
         times=times,
         joint=joint,
     )
+
+
+def _lateness(mount: MountPrior, sigma: Array, velocity: Array) -> float:
+    """One sigma, s, of how late positions were tagged, by their sigmas (n, 6) and velocities.
+
+    It belongs to a tag's error along the track, and is no more than a part of it.
+    """
+    speed_known = velocity[np.any(velocity, axis=1)]
+    usual = float(np.median(np.linalg.norm(speed_known, axis=1))) if len(speed_known) else 0.0
+    along = CLOCK_SHARE * float(np.median(sigma[:, :2]))
+    return min(mount.sigma_clock, along / usual) if usual > 0.0 else 0.0
+
+
+def _own_variances(sigma: Array, velocity: Array, clock: float) -> Array:
+    """Each photo's own part of the variances, (n, 6), m^2 and rad^2 in body axes.
+
+    A photo whose speed is not known is off by any clock error, `clock` in s.
+    """
+    own = SHARES[:, 2] * sigma**2
+    speed = np.linalg.norm(velocity, axis=1)
+    if np.any(speed):
+        own[speed == 0.0, :2] += (clock * np.median(speed[speed > 0.0])) ** 2
+    return np.asarray(own)
+
+
+def _joint_of_tags(
+    times: Array, T: Array, own: Array, slow: Array
+) -> Callable[[NDArray[np.int64]], Array]:
+    """Covariance of any of the photos, what all share taken out.
+
+    Parameters
+    ----------
+    times : shape (n,), s
+    T : shape (n, 6, 6)
+        To enu from the axes of the errors.
+    own : shape (n, 6)
+        Variances of each photo's own part, m^2 and rad^2.
+    slow : shape (n, 6)
+        Sigmas of the part that changes slowly, m and rad.
+    """
+
+    def joint(indices: NDArray[np.int64]) -> Array:
+        k, t, spread = len(indices), times[indices], slow[indices]
+        lag = np.abs(t[:, None] - t)
+        out = np.zeros((k, 6, k, 6))
+        for c in range(6):
+            out[:, c, :, c] = np.outer(spread[:, c], spread[:, c]) * np.exp(-lag / TAU[c])
+            out[np.arange(k), c, np.arange(k), c] += own[indices, c]
+        turned = np.einsum("aij,ajbk,blk->aibl", T[indices], out, T[indices])
+        flat = turned.reshape(6 * k, 6 * k)
+        return np.asarray((flat + flat.T) / 2)
+
+    return joint
 
 
 def navigation_prior(

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.sparse import bsr_matrix, csr_matrix
 
 from georef_gis.frames import Array, exp_so3
-from georef_gis.model.tie_points import TiePoints
 from georef_gis.orient.adjustment.banded import BandedFactor, BandOrder, band_order
 from georef_gis.orient.adjustment.block import (
     FLIGHT_UNKNOWNS,
@@ -27,14 +26,13 @@ from georef_gis.orient.adjustment.flight_model import FlightModel
 from georef_gis.orient.adjustment.kernels import (
     CAMERA_UNKNOWNS,
     LEVEL,
-    MAX_RAYS,
     SURFACE,
-    move_points,
-    place_points,
     reduce_points,
     residuals,
 )
 from georef_gis.orient.adjustment.long_flight import LongFlightModel
+from georef_gis.orient.adjustment.photo_pairs import pairs_of, rows_and_columns, symmetric
+from georef_gis.orient.adjustment.point_kernels import move_points, place_points
 from georef_gis.orient.adjustment.whole_moves import WholeMove, whole_move
 
 # how often points are placed anew after a step of the poses
@@ -71,34 +69,6 @@ class Reduced:
     rhs_pose: Array
     rhs_shared: Array
     lost: int
-
-
-def pairs_of(observations: TiePoints, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Photos that see a point together, as rows: where row i begins, and its columns j >= i."""
-    keys = [np.arange(n, dtype=np.int64) * (n + 1)]
-    photo, point = observations.photo.astype(np.int64), observations.point
-    for shift in range(1, MAX_RAYS):
-        together = point[shift:] == point[:-shift]
-        if not np.any(together):
-            break
-        a, b = photo[:-shift][together], photo[shift:][together]
-        keys.append(np.unique(np.minimum(a, b) * n + np.maximum(a, b)))
-    pairs = np.unique(np.concatenate(keys))
-    start = np.searchsorted(pairs // n, np.arange(n + 1)).astype(np.int64)
-    return start, pairs % n
-
-
-def _symmetric(
-    row: NDArray[np.int64], column: NDArray[np.int64], blocks: Array, n: int
-) -> bsr_matrix:
-    """Sparse symmetric matrix of one half of its blocks; (6 n, 6 n)."""
-    off = row != column
-    rows = np.concatenate([row, column[off]])
-    columns = np.concatenate([column, row[off]])
-    data = np.concatenate([blocks, np.swapaxes(blocks[off], 1, 2)])
-    order = np.lexsort((columns, rows))
-    start = np.searchsorted(rows[order], np.arange(n + 1))
-    return bsr_matrix((data[order], columns[order], start), shape=(6 * n, 6 * n))
 
 
 def _by_parts(prior: FlightPrior) -> FlightPrior:
@@ -159,7 +129,7 @@ class Problem:
 
     def _band_order(self) -> BandOrder:
         """Order that keeps photos that see the same points, or follow each other, close."""
-        row, column = self._pairs()
+        row, column = rows_and_columns(self.pattern)
         rows, columns = [row], [column]
         for flight in self.flights:
             if isinstance(flight, LongFlightModel):
@@ -294,7 +264,7 @@ class Problem:
         n, G = len(state.origin), self.block.n_shared
         N = 6 * n + G
         H = np.zeros((N, N))
-        row, column = self._pairs()
+        row, column = rows_and_columns(self.pattern)
         view = H[: 6 * n, : 6 * n].reshape(n, 6, n, 6)
         view[row, :, column, :] = reduced.blocks
         off = row != column
@@ -310,22 +280,18 @@ class Problem:
         H[6 * n :, 6 * n :] = corner
         return H, rhs
 
-    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        start, column = self.pattern
-        return np.repeat(np.arange(len(start) - 1), np.diff(start)), column
-
     def _band_normal(
         self, state: State, reduced: Reduced
     ) -> tuple[bsr_matrix, Array, Array, Array]:
         """Normal matrix of a large block: that of the poses sparse, border, corner, right side."""
         n = len(state.origin)
         border, corner, rhs, turned = self._with_priors(state, reduced)
-        row, column = self._pairs()
-        total = _symmetric(row, column, reduced.blocks, n)
+        row, column = rows_and_columns(self.pattern)
+        total = symmetric(row, column, reduced.blocks, n)
         for flight, A in zip(self.flights, turned, strict=True):
             if not isinstance(flight, LongFlightModel):
                 raise ValueError("a large block needs long flights")
-            total = total + _symmetric(*flight.blocks(A), n)
+            total = total + symmetric(*flight.blocks(A), n)
         return total, border, corner, rhs
 
     def _with_priors(
