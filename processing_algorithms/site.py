@@ -151,7 +151,7 @@ def _ground_of(poses: Sequence[tuple[str, Pose]], terrain: Terrain, project: Pro
 
 
 def _surface_file(project: Project) -> Path:
-    from georef_gis.orient.surface import SURFACE
+    from georef_gis.project.surface_file import SURFACE
 
     return project.adjustment / SURFACE
 
@@ -185,7 +185,7 @@ def load_ground(project: Project, frame: MapFrame, *, adjusted: bool = False) ->
             sigma=facts["sigma_m"],
         )
     if facts["kind"] in ("tin", "plane"):
-        from georef_gis.orient.surface import load_surface
+        from georef_gis.project.surface_file import load_surface
 
         return load_surface(_surface_file(project))
     positions = [

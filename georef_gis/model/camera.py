@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from georef_gis.errors import InputError
-from georef_gis.frames import Array
+from georef_gis.frames import Array, skew
 
 CameraModel = Literal["brown", "brown_inverse", "fisheye", "fisheye_pix4d"]
 CAMERA_MODELS: tuple[CameraModel, ...] = ("brown", "brown_inverse", "fisheye", "fisheye_pix4d")
@@ -167,13 +167,31 @@ class Camera:
             return uv
         v = np.zeros(3) if velocity_cam is None else np.asarray(velocity_cam, float)
         w = np.zeros(3) if rate_cam is None else np.asarray(rate_cam, float)
+        # The scene moves against the camera: to first order in the readout time.
+        move = v + p @ skew(w).T
+        row = uv[..., 1]
+        time = self.row_time(row)
+        uv = self._project_static(p - time[..., None] * move)
+        slow = self._own_share(uv[..., 1] - row, time)
         for _ in range(6):
-            t = self.row_time(uv[..., 1:])
-            # The scene moves against the camera: to first order in the readout time.
-            before, uv = uv, self._project_static(p - t * (v + np.cross(w, p)))
-            if not np.any(np.abs(uv - before) > ROWS_SETTLED):
+            apart = uv[..., 1] - row
+            if not np.any(np.abs(apart) > ROWS_SETTLED):
                 break
+            row = row + slow * apart
+            uv = self._project_static(p - self.row_time(row)[..., None] * move)
         return uv
+
+    def _own_share(self, moved: Array, time: Array) -> Array:
+        """How far to go from a row at whose time a point is seen in another one, to its own.
+
+        A point's row moves evenly with time, here by `moved` px within `time` from the middle of
+        the readout, while the row that is read moves too.
+        """
+        per_row = self.readout_s / max(self.height - 1, 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # near the middle it hardly moves, and the next round shows what is left
+            drift = np.where(np.abs(time) > 1e-3 * abs(self.readout_s), moved / time, 0.0)
+        return np.asarray(1.0 / (1.0 - drift * per_row))
 
     def row_time(self, v: ArrayLike) -> Array:
         """When rows are exposed, s from the middle of the readout; shape (...) px -> (...)."""
@@ -194,8 +212,10 @@ class Camera:
 
     def _pixels_from_distorted(self, xy: Array) -> Array:
         x, y = xy[..., 0], xy[..., 1]
-        u = self.cx + (self.fx + self.b1) * x + self.b2 * y
-        return np.stack([u, self.cy + self.fy * y], axis=-1)
+        uv = np.empty(xy.shape)
+        uv[..., 0] = self.cx + (self.fx + self.b1) * x + self.b2 * y
+        uv[..., 1] = self.cy + self.fy * y
+        return uv
 
     @property
     def _has_plane(self) -> bool:
@@ -210,13 +230,16 @@ class Camera:
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        dx = 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x)
-        dy = self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y
-        out = np.stack([x * radial + dx, y * radial + dy], axis=-1)
         limit = _turning_radius(self.k1, self.k2, self.k3)
         if np.isfinite(limit):
-            out = np.where((r2 < limit**2)[..., None], out, np.nan)
-        return np.asarray(out)
+            radial = np.where(r2 < limit**2, radial, np.nan)
+        out = np.empty(xy.shape)
+        out[..., 0] = x * radial
+        out[..., 1] = y * radial
+        if self.p1 or self.p2:
+            out[..., 0] += 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x)
+            out[..., 1] += self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y
+        return out
 
     def _rho_from_theta(self, theta: Array) -> Array:
         if self.model == "fisheye":

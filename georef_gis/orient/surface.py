@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -14,16 +13,12 @@ from georef_gis.frames import Array
 from georef_gis.geodesy import Origin
 from georef_gis.model.terrain import DemTerrain
 from georef_gis.model.tie_points import GroundPoints
-from georef_gis.model.tin import EnuPlane, SquareCells, TinTerrain, tin_terrain
+from georef_gis.model.tin import EnuPlane, TinTerrain
 from georef_gis.orient.dem_bias import DemBias, estimate_bias, unbiased
 from georef_gis.orient.surface_plane import few_points, fit_plane
 from georef_gis.orient.surface_points import FLOOR, Cloud, Scattered, cloud_of, without_blunders
 from georef_gis.orient.surface_tin import Trials, plane_terrain, tin_of, try_surfaces
-from georef_gis.project.columns_file import columns_of, write_columns
 
-# name of the surface's file in a project's folder `adjustment`
-SURFACE = "surface.npz"
-KIND = "surface"
 # points below which no TIN is made
 FEWEST_FOR_TIN = 12
 # area of the points' hull as a share of its length squared: below, they lie on a line
@@ -212,55 +207,3 @@ def _with_dem(
         smoothed_over=0,
     )  # fmt: skip
     return Surface(terrain=terrain, report=report)
-
-
-# -- file --------------------------------------------------------------------------------------
-
-
-def save_surface(path: Path, terrain: TinTerrain) -> None:
-    """Write a TIN or plane, whole or not at all, in a folder that exists."""
-    write_columns(
-        path,
-        KIND,
-        {
-            "surface": terrain.kind,
-            "level": terrain.frame.origin.height_ellipsoidal,
-            # float32 relative to a level nearby: 1e-5 m over 100 m of relief
-            "middle": float(np.mean(terrain.heights)),
-            "heights": (terrain.heights - np.mean(terrain.heights)).astype(np.float32),
-            "sigmas": terrain.sigmas.astype(np.float32),
-            "place": [terrain.left, terrain.top, terrain.cell[0]],
-            "plane_level": _plane_of(terrain).level,
-            "origin": [terrain.frame.origin.lat, terrain.frame.origin.lon],
-            "sigma": [terrain.sigma, terrain.sigma_shared],
-        },
-    )
-
-
-def load_surface(path: Path) -> TinTerrain:
-    """Read what `save_surface` wrote.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, cut off or none of ours.
-    """
-    with columns_of(path, KIND) as read:
-        lat, lon = (float(v) for v in read["origin"])
-        left, top, cell = (float(v) for v in read["place"])
-        sigma, shared = (float(v) for v in read["sigma"])
-        origin = Origin(lat=lat, lon=lon, height_ellipsoidal=float(read["level"]))
-        return tin_terrain(
-            EnuPlane(origin=origin, level=float(read["plane_level"])),
-            SquareCells(left=left, top=top, cell=cell),
-            read["heights"].astype(np.float64) + float(read["middle"]),
-            read["sigmas"].astype(np.float64),
-            kind="plane" if str(read["surface"]) == "plane" else "tin",
-            sigma=sigma, sigma_shared=shared,
-        )  # fmt: skip
-
-
-def _plane_of(terrain: TinTerrain) -> EnuPlane:
-    if not isinstance(terrain.frame, EnuPlane):
-        raise ValueError("a surface lies on the project's own plane")
-    return terrain.frame

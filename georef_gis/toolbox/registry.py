@@ -8,6 +8,7 @@ takes an id that is taken, is refused with a reason, and the rest works.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache
@@ -56,6 +57,8 @@ class Registry:
     tools: dict[str, Tool] = field(default_factory=dict)
     refused: list[PluginError] = field(default_factory=list)
     _providers: dict[str, str] = field(default_factory=dict)
+    # how many tools have an id
+    _ids: Counter[str] = field(default_factory=Counter)
 
     def __iter__(self) -> Iterator[Tool]:
         """Tools by group, in the order of the work; within it as declared."""
@@ -85,8 +88,7 @@ class Registry:
 
     def command(self, tool: Tool) -> str:
         """Name on the command line: short where that is clear."""
-        same = [other for other in self.tools.values() if other.id == tool.id]
-        short = tool.provider == OWN_PROVIDER or len(same) == 1
+        short = tool.provider == OWN_PROVIDER or self._ids[tool.id] == 1
         return tool.id.replace("_", "-") if short else tool.full_id
 
     def add(self, provider: str, classes: Iterable[Any], distribution: str, version: str) -> None:
@@ -103,6 +105,7 @@ class Registry:
                     by = self.tools[tool.full_id].distribution
                     raise PluginError(f"id {tool.full_id} is taken by {by}; rename the tool")
                 self.tools[tool.full_id] = tool
+                self._ids[tool.id] += 1
             except PluginError as error:
                 self.refuse(distribution, str(error), error)
 
@@ -146,10 +149,12 @@ def load_registry() -> Registry:
     A provider's name belongs to the distribution whose own name begins with it.
     """
     registry = Registry()
+    # Asking for one group reads the files of all installed packages too.
+    installed = entry_points()
     for group in (ALGORITHM_GROUP, EXPORTER_GROUP):
         # A distribution may be seen twice, through two folders on the path.
         found = {(entry.name, entry.value, _origin(entry)): entry
-                 for entry in entry_points(group=group)}  # fmt: skip
+                 for entry in installed.select(group=group)}  # fmt: skip
         for entry in sorted(found.values(), key=_rank):
             registry.load(entry)
     return registry

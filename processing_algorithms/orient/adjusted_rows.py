@@ -21,10 +21,11 @@ from georef_gis.orient.adjustment.block import FLIGHT_NAMES
 from georef_gis.orient.adjustment.checks import Check, Observability, observability
 from georef_gis.orient.adjustment.distances import distance_sigmas
 from georef_gis.orient.adjustment.keep import COVARIANCE, save_adjusted
-from georef_gis.orient.surface import SURFACE, Surface, fit_surface, save_surface
+from georef_gis.orient.surface import Surface, fit_surface
 from georef_gis.orient.surface_trust import trusted
 from georef_gis.project import Project
 from georef_gis.project.records import camera_row, pose_row
+from georef_gis.project.surface_file import SURFACE, save_surface
 from georef_gis.toolbox import Context
 from processing_algorithms.orient.blocks import Prepared
 from processing_algorithms.site import Site, ground_facts

@@ -12,7 +12,8 @@ from scipy.interpolate import LinearNDInterpolator
 from surface_cases import ORIGIN, bend, hills, places, points_of, sample
 
 from georef_gis.errors import GeometryError, InputError
-from georef_gis.orient.surface import fit_surface, load_surface, save_surface
+from georef_gis.orient.surface import fit_surface
+from georef_gis.project.surface_file import load_surface, save_surface
 
 # m; corners of what the products cover
 AREA = 210.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

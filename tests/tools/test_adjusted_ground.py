@@ -20,9 +20,10 @@ from georef_gis.model.terrain import DemTerrain, FlatTerrain
 from georef_gis.model.tie_points import GroundPoints
 from georef_gis.model.tin import TinTerrain
 from georef_gis.orient.dem_bias import DemBias
-from georef_gis.orient.surface import SURFACE, fit_surface, save_surface
+from georef_gis.orient.surface import fit_surface
 from georef_gis.project import Project
 from georef_gis.project.records import camera_row, photo_row, pose_row, save_frame
+from georef_gis.project.surface_file import SURFACE, save_surface
 from processing_algorithms.site import ground_facts, load_ground, load_site
 
 ORIGIN = Origin(lat=math.radians(39.0975), lon=math.radians(-80.467), height_ellipsoidal=280.0)
