@@ -14,6 +14,8 @@ EXIF: dict[int, str] = {
     0x0115: "SamplesPerPixel",
     0x0131: "Software",
     0x0132: "ModifyDate",
+    0x0152: "ExtraSamples",
+    0x0153: "SampleFormat",
     0x829A: "ExposureTime",
     0x829D: "FNumber",
     0x8827: "ISO",

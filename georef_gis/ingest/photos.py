@@ -14,6 +14,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 from georef_gis.errors import GeorefError, InputError
+from georef_gis.ingest.bands import band_count
 from georef_gis.ingest.cameras import CameraOverride, camera_for, camera_id_of
 from georef_gis.ingest.checks import attitude_doubts, ground_doubts, pixel_doubts
 from georef_gis.ingest.clocks import read_time
@@ -147,7 +148,7 @@ def photo_from_tags(
         width=size[0],
         height=size[1],
         camera_id=camera_id_of(tags, *size),
-        bands=int(number(tags, "File:ColorComponents", "EXIF:SamplesPerPixel") or 3),
+        bands=band_count(tags),
         camera_clock=time.camera_clock,
         clock_resolution_s=time.resolution_s,
         time_gps=time.time_gps,

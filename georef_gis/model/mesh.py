@@ -8,20 +8,13 @@ import numpy as np
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
-from georef_gis.geodesy import MapFrame, metres_per_unit
+from georef_gis.geodesy import MapFrame
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.terrain import DemTerrain, Terrain
 
 # m; the polynomial may differ from the rigorous way by this much
 LOCAL_MAP_TOLERANCE = 2e-4
-# px; a mesh is refined until the middle of its cells is this good (a fifth of what is promised)
-MESH_TOLERANCE = 0.02
-# px; what the ground between the nodes may add
-RELIEF_TOLERANCE = 0.05
-MESH_STEPS = (64, 32, 16, 8, 4, 2, 1)
-# places along each side of a window at which a step is tried
-PROBES = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,17 +150,22 @@ class Ground:
         return self.terrain.height_on_map(self.local.frame, xy_map)
 
     @property
+    def dem(self) -> DemTerrain:
+        """The ground's raster of heights."""
+        if not isinstance(self.terrain, DemTerrain):
+            raise ValueError("there is no DEM")
+        return self.terrain
+
+    @property
     def has_relief(self) -> bool:
         """Whether the ground has detail finer than a mesh."""
         return bool(np.isfinite(self.terrain.detail))
 
     def dem_position(self, xy_map: Array) -> Array:
         """(col, row) in the DEM, (0, 0) = centre of its first cell, of places; (..., 2)."""
-        if not isinstance(self.terrain, DemTerrain):
-            raise ValueError("there is no DEM")
         if self.to_dem is not None:
-            return self.terrain.position(self.to_dem(xy_map))
-        return self.terrain.position_on_map(self.local.frame, xy_map)
+            return self.dem.position(self.to_dem(xy_map))
+        return self.dem.position_on_map(self.local.frame, xy_map)
 
     def enu_at(self, grid: Grid, colrow: Array) -> Array:
         """Ground points, m in enu, under grid positions; shape (..., 2) -> (..., 3)."""
@@ -193,101 +191,5 @@ def node_positions(window: Window, step: int) -> Array:
 def parallax(photo: OrientedPhoto, p_enu: Array) -> Array:
     """How far the pixels of ground points move per metre of height; (..., 3) -> (..., 2) px/m."""
     half = np.array([0.0, 0.0, 0.5])
-    return photo.project(p_enu + half) - photo.project(p_enu - half)
-
-
-def choose_step(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window) -> int:
-    """Coarsest mesh step, px, through which pixels are good to the tolerances.
-
-    What a warp does is compared with the rigorous projection at places all over the window:
-    bilinear in the mesh, and over a DEM moved by the parallax times the height that the mesh
-    leaves out. That height is looked for at every half cell: a bank between two places would
-    slip through.
-    """
-    places = np.stack(
-        np.meshgrid(
-            window.col + window.width * (np.arange(PROBES) + 0.5) / PROBES,
-            window.row + window.height * (np.arange(PROBES) + 0.5) / PROBES,
-        ),
-        axis=-1,
-    ).reshape(-1, 1, 2)
-    for step in MESH_STEPS[:-1]:
-        error = _mesh_error(photo, ground, grid, places, step)
-        if not error <= MESH_TOLERANCE:
-            continue
-        if not ground.has_relief:
-            return step
-        left_out = _relief_error(ground, grid, window, step)
-        if _parallax_error(photo, ground, grid, places, left_out) <= RELIEF_TOLERANCE:
-            return step
-    return MESH_STEPS[-1]
-
-
-def _mesh_error(
-    photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array, step: int
-) -> float:
-    """Largest error of a warp, px, at the middles of cells and of their sides; inf if unknown."""
-    unit = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5], [0.5, 0], [0, 0.5]])
-    colrow = places + unit * step
-    p = ground.enu_at(grid, colrow)
-    uv = photo.project(p)
-    guess = _bilinear(uv)
-    if ground.has_relief:
-        h = ground.heights_at(grid.map_from_grid(colrow))[..., None]
-        guess = guess + _bilinear(parallax(photo, p)) * (h[:, 4:] - _bilinear(h))
-    true = uv[:, 4:]
-    error = np.abs(true - guess)[photo.contains(true)]
-    return float(np.max(error, initial=0.0)) if np.all(np.isfinite(error)) else np.inf
-
-
-def _bilinear(values: Array) -> Array:
-    """At the middle of cells and of two sides, from the four corners; (n, 7, k) -> (n, 3, k)."""
-    a, b, c, d = (values[:, i] for i in range(4))
-    return np.stack([(a + b + c + d) / 4, (a + b) / 2, (a + c) / 2], axis=1)
-
-
-def _parallax_error(
-    photo: OrientedPhoto, ground: Ground, grid: Grid, places: Array, height: float
-) -> float:
-    """What the parallax times a height, m, misses of the true move of a pixel, px, at most."""
-    p = ground.enu_at(grid, places)
-    uv, move = photo.project(p), parallax(photo, p)
-    worst = 0.0
-    for h in (height, -height):
-        missed = np.abs(photo.project(p + np.array([0.0, 0.0, h])) - uv - move * h)
-        missed = missed[photo.contains(uv)]
-        worst = max(worst, float(np.max(missed, initial=0.0, where=np.isfinite(missed))))
-    return worst
-
-
-def _relief_error(ground: Ground, grid: Grid, window: Window, step: int) -> float:
-    """Largest height that a mesh leaves out between its nodes, m."""
-    frame = ground.local.frame
-    cell = ground.terrain.detail / (grid.pixel * metres_per_unit(frame.horizontal))
-    nodes = node_positions(window, step)
-    h = ground.heights_at(grid.map_from_grid(nodes))
-    spacing = float(np.clip(cell / 2.0, 1.0, step / 2.0))
-    cols = np.arange(0.5, window.width, spacing)
-    j, u = _split(cols, step)
-    worst = 0.0
-    rows_at_once = max(1, 500_000 // cols.size)
-    all_rows = np.arange(0.5, window.height, spacing)
-    for first in range(0, all_rows.size, rows_at_once):
-        rows = all_rows[first : first + rows_at_once]
-        i, v = _split(rows, step)
-        across = h[:, j] * (1.0 - u) + h[:, j + 1] * u
-        guess = across[i] * (1.0 - v[:, None]) + across[i + 1] * v[:, None]
-        colrow = np.stack(np.meshgrid(window.col + cols, window.row + rows), axis=-1)
-        true = ground.heights_at(grid.map_from_grid(colrow))
-        error = np.abs(true - guess)
-        worst = max(worst, float(np.max(error, initial=0.0, where=np.isfinite(error))))
-    return worst
-
-
-def _split(
-    places: Array, step: int
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.intp]], Array]:
-    """Node before each place of a window and the share of a cell beyond it."""
-    t = places / step + 0.5
-    i = np.floor(t).astype(np.intp)
-    return i, t - i
+    both = photo.project(np.stack([p_enu + half, p_enu - half]))
+    return np.asarray(both[0] - both[1])

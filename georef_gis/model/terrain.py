@@ -185,9 +185,10 @@ class DemTerrain:
 
     def height_at_map(self, xy_map: ArrayLike) -> Array:
         """Ellipsoidal height, m, at map coordinates; (..., 2) -> (...), NaN outside."""
-        return self._height_at(self.position(np.asarray(xy_map, dtype=np.float64)))
+        return self.height_at(self.position(np.asarray(xy_map, dtype=np.float64)))
 
-    def _height_at(self, at: Array) -> Array:
+    def height_at(self, at: Array) -> Array:
+        """Ellipsoidal height, m, at (col, row), see `position`; (..., 2) -> (...), NaN outside."""
         col, row = at[..., 0], at[..., 1]
         rows, cols = self.heights.shape
         with np.errstate(invalid="ignore"):
@@ -205,7 +206,7 @@ class DemTerrain:
 
     def height_on_map(self, frame: MapFrame, xy_map: ArrayLike) -> Array:
         """Ellipsoidal height, m, at places of any map; (..., 2) CRS units -> (...), NaN outside."""
-        return self._height_at(self.position_on_map(frame, np.asarray(xy_map, dtype=np.float64)))
+        return self.height_at(self.position_on_map(frame, np.asarray(xy_map, dtype=np.float64)))
 
     def z_at(self, xy_enu: ArrayLike) -> Array:
         """Up coordinate of the ground; (..., 2) m -> (...), NaN outside the raster."""

@@ -117,7 +117,8 @@ class TinTerrain(DemTerrain):
         own = float(np.sqrt(max(self.sigma**2 - self.sigma_shared**2, 0.0)))
         return replace(self, sigma=own, sigma_shared=0.0)
 
-    def _height_at(self, at: Array) -> Array:
+    def height_at(self, at: Array) -> Array:
+        """Ellipsoidal height, m, at (col, row), see `position`; (..., 2) -> (...)."""
         return _bilinear(self.heights, at)
 
     def _free_run(self, d: Array, slant: Array, clearance: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Shapes that vignetting and the trend of view direction are made from."""
+"""Shapes that vignetting, the trend of view direction and a photo's own surface are made from."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ TREND_POWERS = tuple(
 )
 # the last one is the hot spot
 TREND_TERMS = len(TREND_POWERS) + 1
+SURFACE_TERMS = 5
+# mean squares of both coordinates over a photo of 4:3: without them a surface has no level
+MEAN_SQUARES = (0.21, 0.12)
 
 
 def radial_basis(xy: Values) -> Array:
@@ -23,6 +26,13 @@ def radial_basis(xy: Values) -> Array:
     p = np.asarray(xy, dtype=np.float64)
     r2 = p[..., 0] ** 2 + p[..., 1] ** 2
     return np.stack([r2 ** (power // 2) for power in RADIAL_POWERS], axis=-1)
+
+
+def surface_basis(xy: Values) -> Array:
+    """Plane and quadratic over a photo; places (..., 2) in half diagonals -> (..., 5)."""
+    p = np.asarray(xy, dtype=np.float64)
+    x, y = p[..., 0], p[..., 1]
+    return np.stack([x, y, x * x - MEAN_SQUARES[0], x * y, y * y - MEAN_SQUARES[1]], axis=-1)
 
 
 def trend_basis(view: Values, reach: float, spot: Spot | None) -> Array:

@@ -16,13 +16,12 @@ from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.mesh import Ground
 from georef_gis.model.photo import OrientedPhoto
-from georef_gis.mosaic.compiled import compiled
+from georef_gis.mosaic.low_blend import LowBlend
 from georef_gis.mosaic.proxies import PhotoColour, place_in_photo
-from georef_gis.rasters.warp import Image
 
 Values = NDArray[np.float32]
 # fine px between the places at which a photo's colour is computed; it changes over hundreds
-COLOUR_STEP = 32
+COLOUR_STEP = 64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,57 +71,96 @@ def value_range(dtype: np.dtype[Any]) -> tuple[float, float]:
     return low, low + 2.0**bits - 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Knots:
-    """Ground at the places at which colours are computed, and how samples follow from them.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tint:
+    """What grey values are multiplied by and then gain, at the samples of a lattice.
 
     Parameters
     ----------
-    p_enu : shape (k, l, 3), m
-    down : shape (rows, k)
-    across : shape (cols, l)
-        Weights of the knots at the rows and columns of the lattice.
+    gain, add : shape (rows, cols, bands)
+    knee
+        One over the grey value that gains leave as it is, see `tone.py`; 0 = none.
     """
 
-    p_enu: Array
-    down: Array
-    across: Array
-
-    @property
-    def count(self) -> int:
-        """Number of knots."""
-        return int(self.p_enu.shape[0] * self.p_enu.shape[1])
+    lattice: Lattice
+    gain: Values
+    add: Values
+    knee: float = 0.0
 
     @classmethod
-    def under(cls, lattice: Lattice, ground: Ground, grid: Grid) -> Knots:
-        """Knots of a lattice."""
-        half, spacing = lattice.half, lattice.spacing
-        stride = max(1, COLOUR_STEP // spacing)
-        cols, across = _knots(half.col, half.width, stride)
-        rows, down = _knots(half.row, half.height, stride)
-        # two coarse px make a sample, which lies in the centre of the first
-        place = np.stack(np.meshgrid(cols, rows), axis=-1) * float(spacing) + 0.25 * spacing
-        return cls(ground.enu_at(grid, place), down, across)
-
-    def samples(self, knots: Array) -> Values:
-        """Values at the lattice's samples from those at the knots; (k, l, b) -> (rows, cols, b)."""
-        rows = np.tensordot(self.down, knots, axes=(1, 0))
-        out = np.tensordot(rows, self.across, axes=(1, 1))
-        return np.ascontiguousarray(np.moveaxis(out, 2, 1), dtype=np.float32)
+    def none(cls, lattice: Lattice, bands: int) -> Tint:
+        """Leaves values as they are."""
+        ones = np.ones((2, 2, bands), np.float32)
+        return cls(lattice=lattice, gain=ones, add=np.zeros_like(ones))
 
 
-def gain_at(
-    photo: OrientedPhoto, colour: PhotoColour, index: int, knots: Knots, uv: Array
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PhotoTint:
+    """What is done to a photo's grey values, over all that it shows.
+
+    Parameters
+    ----------
+    half
+        Window of the half grid.
+    gain : shape (rows, cols, bands)
+    offset : shape (bands,)
+        Added to what `gain` gives.
+    base : shape (rows, cols, bands)
+        Low frequencies of the corrected photo, over `base_half`; None where they stay.
+    knee
+        One over the grey value that gains leave as it is; 0 = none.
+    """
+
+    half: Window
+    gain: Values
+    offset: Values
+    base: Values | None = None
+    base_half: Window | None = None
+    knee: float = 0.0
+
+    def over(self, lattice: Lattice, blend: LowBlend | None) -> Tint:
+        """The part over a lattice; what lies beyond the photo repeats its rim."""
+        gain = _part(self.gain, self.half, lattice.half)
+        add = np.broadcast_to(self.offset, gain.shape)
+        if blend is not None and self.base is not None and self.base_half is not None:
+            add = add + blend.correction(lattice.half, self.base, self.base_half)
+        add = np.ascontiguousarray(add, dtype=np.float32)
+        return Tint(lattice=lattice, gain=gain, add=add, knee=self.knee)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return self.gain.nbytes + (0 if self.base is None else self.base.nbytes)
+
+
+def _part(values: Values, own: Window, wanted: Window) -> Values:
+    rows = np.clip(np.arange(wanted.height) + wanted.row - own.row, 0, own.height - 1)
+    cols = np.clip(np.arange(wanted.width) + wanted.col - own.col, 0, own.width - 1)
+    return np.ascontiguousarray(values[rows[:, None], cols[None, :]])
+
+
+def gain_over(
+    photo: OrientedPhoto,
+    colour: PhotoColour,
+    index: int,
+    lattice: Lattice,
+    ground: Ground,
+    grid: Grid,
 ) -> Values:
     """Factor of a photo's colour at the samples of a lattice; (rows, cols, bands).
 
-    Parameters
-    ----------
-    uv : shape (k, l, 2)
-        Pixels of the knots.
+    It is computed every `COLOUR_STEP` px, and bilinear between.
     """
-    xy, view = place_in_photo(photo, knots.p_enu, uv)
-    return knots.samples(colour.factor(index, xy, np.nan_to_num(view)))
+    half, spacing = lattice.half, lattice.spacing
+    stride = max(1, COLOUR_STEP // spacing)
+    cols, across = _knots(half.col, half.width, stride)
+    rows, down = _knots(half.row, half.height, stride)
+    # two coarse px make a sample, which lies in the centre of the first
+    place = np.stack(np.meshgrid(cols, rows), axis=-1) * float(spacing) + 0.25 * spacing
+    xy, view = place_in_photo(photo, ground.enu_at(grid, place))
+    knots = colour.factor(index, xy, np.nan_to_num(view))
+    out = np.tensordot(np.tensordot(down, knots, axes=(1, 0)), across, axes=(1, 1))
+    return np.ascontiguousarray(np.moveaxis(out, 2, 1), dtype=np.float32)
 
 
 def _knots(first: int, count: int, stride: int) -> tuple[Array, Array]:
@@ -133,52 +171,3 @@ def _knots(first: int, count: int, stride: int) -> tuple[Array, Array]:
     at = np.arange(first, first + count) / stride
     weights = np.clip(1.0 - np.abs(at[:, None] - k), 0.0, None)
     return np.asarray(k * float(stride), dtype=np.float64), np.asarray(weights)
-
-
-def coloured(
-    image: Image, gain: Values, add: Values, lattice: Lattice, at: tuple[int, int], out: Image
-) -> None:
-    """Pixels multiplied and shifted by a field, into `out` of the same shape.
-
-    Parameters
-    ----------
-    at
-        Row and column of the image's first pixel in the lattice's window, px.
-    out
-        Integer types are rounded and cut to their range.
-    """
-    low, high = value_range(out.dtype)
-    half = 0.5 if np.isfinite(high) else 0.0
-    step = 1.0 / lattice.spacing
-    first = lattice.y0 + at[0] * step, lattice.x0 + at[1] * step
-    _coloured(image, gain, add, first[0], first[1], step, low, high, half, out)
-
-
-@compiled
-def _coloured(  # type: ignore[no-untyped-def]
-    image, gain, add, y0, x0, step, low, high, half, out
-):
-    """Bilinear gain and shift along the rows of an image."""
-    rows, cols, bands = image.shape
-    knots = gain.shape[1]
-    g = np.zeros((knots, bands), np.float32)
-    d = np.zeros((knots, bands), np.float32)
-    for r in range(rows):
-        y = y0 + r * step
-        i = min(max(int(y), 0), gain.shape[0] - 2)
-        f = np.float32(y - i)
-        e = np.float32(1.0) - f
-        for k in range(knots):
-            for b in range(bands):
-                g[k, b] = e * gain[i, k, b] + f * gain[i + 1, k, b]
-                d[k, b] = e * add[i, k, b] + f * add[i + 1, k, b]
-        for c in range(cols):
-            x = x0 + c * step
-            j = min(max(int(x), 0), knots - 2)
-            f = np.float32(x - j)
-            e = np.float32(1.0) - f
-            for b in range(bands):
-                value = image[r, c, b] * (e * g[j, b] + f * g[j + 1, b])
-                value += e * d[j, b] + f * d[j + 1, b]
-                value = min(max(value + half, low), high)
-                out[r, c, b] = np.floor(value) if half > 0.0 else value

@@ -2,27 +2,31 @@
 
 Of a block seen by photos a and b with grey values v, relative to the typical one::
 
-    r = m (log v_a + l_a - log v_b - l_b) + o_a - o_b,   l = gain + vignetting + trend
+    r = m (y(v_a) + l_a - y(v_b) - l_b) + o_a - o_b,   l = gain + vignetting + trend
 
-where m is the corrected grey value, kept from the iteration before. That is the corrected
-difference to first order, but it cannot be made small by making both photos dark.
+where y is the logarithm of v, or of v / (1 - knee v): see `tone.py`. m is how fast a corrected
+grey value grows with its y, kept from the iteration before. That is the corrected difference to
+first order, but it cannot be made small by making both photos dark.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from georef_gis.frames import Array
+from georef_gis.mosaic.block_means import Floats, Indices
 from georef_gis.mosaic.coarse import Mask
 from georef_gis.mosaic.colour_basis import RADIAL_POWERS, TREND_TERMS, radial_basis, trend_basis
 from georef_gis.mosaic.compiled import compiled
-from georef_gis.mosaic.hot_spot import Spot, find_spot
-from georef_gis.mosaic.overlaps import Floats, Indices, Overlaps
+from georef_gis.mosaic.hot_spot import MOST, Spot, find_spot
+from georef_gis.mosaic.overlaps import Overlaps
+from georef_gis.mosaic.symmetric import SparseSymmetric
+from georef_gis.mosaic.tone import grown, tone_of
 
 # relative to the typical grey value; darker ones have no logarithm worth its noise
 DARKEST = 0.005
@@ -71,14 +75,27 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Chunk:
-    """Blocks of whole pairs whose cameras and flights are the same."""
+    """Blocks of whole pairs of one kind, as slices, and shapes at both ends, (blocks, columns)."""
 
     blocks: slice
     pairs: slice
-    # unknowns that photos share, and their shapes at both ends, (blocks, columns)
-    columns: Indices
     shapes_a: Floats
     shapes_b: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Kind:
+    """Pairs whose cameras and flights are the same.
+
+    `columns` are the unknowns that they share, `photos` those that take part, `incidence` (photos,
+    pairs) has +1 and -1 where a photo is the first or the second of a pair.
+    """
+
+    pairs: slice
+    columns: Indices
+    photos: Indices
+    incidence: Any
+    chunks: tuple[_Chunk, ...]
 
 
 class Equations:
@@ -90,6 +107,8 @@ class Equations:
         Most oblique view, as the length of its horizontal part.
     scale
         Typical grey value: 1 in these equations.
+    knee
+        One over the value that no gain changes, in these units; 0 = none.
     spots
         Where the hot spot is, for flights that have one.
     """
@@ -101,47 +120,71 @@ class Equations:
         *,
         reach: float,
         scale: float,
+        knee: float,
         spots: Mapping[int, Spot],
     ) -> None:
-        self._layout, self._reach, self._spots = layout, reach, spots
+        self._layout, self._reach, self._spots, self._knee = layout, reach, spots, knee
         kinds = _kinds(overlaps, layout)
         order = np.lexsort((overlaps.b, overlaps.a, kinds))
         # they are large: not copied where they are in order
         in_order = np.array_equal(order, np.arange(order.size))
-        self._o = overlaps if in_order else _chosen(overlaps, order)
-        kinds = kinds[order]
-        a, b = self._o.a, self._o.b
-        new = np.concatenate([[True], (a[1:] != a[:-1]) | (b[1:] != b[:-1])])
+        self._o = o = overlaps if in_order else _chosen(overlaps, order)
+        new = np.concatenate([[True], (o.a[1:] != o.a[:-1]) | (o.b[1:] != o.b[:-1])])
         self._starts = np.flatnonzero(new)
         self._pair_of = np.cumsum(new) - 1
-        self._chunks = [
-            _Chunk(blocks, pairs, *self._shapes(blocks))
-            for blocks, pairs in _pieces(self._starts, len(self._o), kinds[self._starts])
-        ]
-        self._incidence = self._pairs_of_photos()
-        dark = np.float32(DARKEST)
-        self._value_a = np.log(np.maximum(self._o.value_a / np.float32(scale), dark))
-        self._value_b = np.log(np.maximum(self._o.value_b / np.float32(scale), dark))
-
-    def _pairs_of_photos(self) -> Any:
-        """+1 and -1 where a photo is the first or the second of a pair; (photos, pairs)."""
-        from scipy.sparse import csr_matrix
-
-        pairs = np.arange(self._starts.size)
-        ones = np.ones(pairs.size)
-        return csr_matrix(
-            (
-                np.concatenate([ones, -ones]),
-                (
-                    np.concatenate([self._o.a[self._starts], self._o.b[self._starts]]),
-                    np.concatenate([pairs, pairs]),
-                ),
-            ),
-            shape=(self._layout.photos, pairs.size),
+        self._pairs = np.stack([o.a[self._starts], o.b[self._starts]])
+        self._kinds = tuple(self._all_kinds(kinds[order][self._starts]))
+        self._matrix = self._pattern()
+        self._value_a, self._value_b = (
+            tone_of(value / np.float32(scale), DARKEST, knee) for value in (o.value_a, o.value_b)
         )
 
+    @property
+    def layout(self) -> Layout:
+        """Where the unknowns are."""
+        return self._layout
+
+    @property
+    def overlaps(self) -> Overlaps:
+        """The blocks in the order that all results have."""
+        return self._o
+
+    def _all_kinds(self, kinds: Indices) -> Iterator[_Kind]:
+        """Kinds of pairs, whose numbers are sorted."""
+        o, ends = self._o, np.append(self._starts, len(self._o))
+        first = np.flatnonzero(np.diff(kinds, prepend=-1))
+        for start, stop in pairwise([*first.tolist(), kinds.size]):
+            a, b = self._pairs[:, start:stop]
+            one, two = int(a[0]), int(b[0])
+            columns = np.union1d(self._columns(one), self._columns(two))
+            chunks = []
+            for part in _pieces(ends[start : stop + 1]):
+                pairs = slice(start + part.start, start + part.stop)
+                at = slice(int(ends[pairs.start]), int(ends[pairs.stop]))
+                shapes_a = self._shapes(one, columns, o.xy_a[at], o.view_a[at])
+                shapes_b = self._shapes(two, columns, o.xy_b[at], o.view_b[at])
+                chunks.append(_Chunk(at, pairs, shapes_a, shapes_b))
+            photos = np.union1d(a, b)
+            incidence = _incidence(np.searchsorted(photos, (a, b)), photos.size)
+            yield _Kind(slice(start, stop), columns, photos, incidence, tuple(chunks))
+
+    def _pattern(self) -> SparseSymmetric:
+        """Where `normals` has its entries."""
+        n, (a, b) = self._layout.photos, self._pairs
+        photo, every = np.arange(n), np.arange(self._layout.size)
+        blocks = [
+            (photo, photo), (photo, n + photo), (n + photo, n + photo),
+            (a, b), (a, n + b), (b, n + a), (n + a, n + b), (every, every),
+        ]  # fmt: skip
+        for kind in self._kinds:
+            rows, cols = (x.ravel() for x in np.meshgrid(kind.photos, kind.columns, indexing="ij"))
+            low = np.tril_indices(kind.columns.size)
+            blocks += [(rows, cols), (n + rows, cols)]
+            blocks.append((kind.columns[low[0]], kind.columns[low[1]]))
+        return SparseSymmetric(self._layout.size, blocks)
+
     def weights(self, blocks_per_pair: float) -> Array:
-        """Weight of each block before any look at its residual, no pair counting more; (k,).
+        """Weight of each block before any look at its residual, no pair counting more; (k, bands).
 
         Blocks of a pair share what the equations do not know, so many are not worth their number.
         """
@@ -151,92 +194,103 @@ class Equations:
         return np.asarray(own * share[self._pair_of])
 
     def differences(self, x: Array) -> tuple[Array, Array]:
-        """Residuals and corrected grey values for unknowns (size, bands); both (k, bands)."""
+        """Residuals for unknowns (size, bands), and how fast they grow with l; both (k, bands)."""
         n, o = self._layout.photos, self._o
         gain, offset = x[:n], x[n : 2 * n]
-        log_a, log_b = self._value_a + gain[o.a], self._value_b + gain[o.b]
-        for chunk in self._chunks:
-            log_a[chunk.blocks] += chunk.shapes_a @ x[chunk.columns]
-            log_b[chunk.blocks] += chunk.shapes_b @ x[chunk.columns]
+        tone_a, tone_b = self._value_a + gain[o.a], self._value_b + gain[o.b]
+        for kind in self._kinds:
+            for chunk in kind.chunks:
+                tone_a[chunk.blocks] += chunk.shapes_a @ x[kind.columns]
+                tone_b[chunk.blocks] += chunk.shapes_b @ x[kind.columns]
         # bounded, or gains that stray would weigh themselves up
-        middle = np.exp(np.clip(0.5 * (log_a + log_b), np.log(DARKEST), np.log(BRIGHTEST)))
-        apart = np.subtract(log_a, log_b, out=log_a)
-        return middle * apart + offset[o.a] - offset[o.b], middle
+        middle = np.clip(0.5 * (tone_a + tone_b), np.log(DARKEST), self._brightest)
+        slope = grown(middle, self._knee)
+        apart = np.subtract(tone_a, tone_b, out=tone_a)
+        return slope * apart + offset[o.a] - offset[o.b], slope
+
+    @property
+    def _brightest(self) -> float:
+        """Of the logarithms; odds have their end far above that of values."""
+        return float(np.log(BRIGHTEST)) if self._knee == 0.0 else np.inf
 
     def find_spots(self, x: Array, weights: Array) -> dict[int, Spot]:
         """Hot spots in what unknowns (size, bands) leave, of the flights that have one."""
-        residual, middle = self.differences(x)
-        apart, strength = (residual / middle).mean(axis=1), weights * (middle**2).mean(axis=1)
+        residual, slope = self.differences(x)
+        strength = weights * slope**2
+        total = strength.sum(axis=1)
+        apart = (strength * (residual / slope)).sum(axis=1) / np.maximum(total, 1e-30)
         flights = self._layout.flight[self._o.a], self._layout.flight[self._o.b]
         found = {}
         for flight in range(self._layout.flights):
-            own = (flights[0] == flight) & (flights[1] == flight)
-            spot = find_spot(_chosen(self._o, own), apart[own], strength[own], self._reach)
+            own = np.flatnonzero((flights[0] == flight) & (flights[1] == flight))
+            own = own[:: -(-max(own.size, 1) // MOST)]
+            spot = find_spot(_chosen(self._o, own), apart[own], total[own], self._reach)
             if spot is not None:
                 found[flight] = spot
         return found
 
-    def normals(self, band: int, weights: Array, middle: Array) -> tuple[Any, Array]:
+    def normals(self, band: int, weights: Array, slope: Array, prior: Array) -> tuple[Any, Array]:
         """Matrix (size, size) and right side (size,) of a band.
 
         Parameters
         ----------
         weights : shape (k,)
             One over the variance.
-        middle : shape (k,)
-            Corrected grey value.
+        slope : shape (k,)
+            See `differences`.
+        prior : shape (size,)
+            One over the variance of the unknowns.
         """
-        from scipy.sparse import csr_matrix, diags
+        known = slope * (self._value_a[:, band] - self._value_b[:, band])
+        n, (a, b) = self._layout.photos, self._pairs
+        sums, right = np.zeros((a.size, 5)), np.zeros(self._layout.size)
+        border: list[Array] = []
+        for kind in self._kinds:
+            edge, inner, own = self._summed(kind, (weights, slope, known), sums)
+            right[kind.columns] += own
+            border += [edge[:, 0], edge[:, 1], inner[np.tril_indices(own.size)]]
 
-        known = middle * (self._value_a[:, band] - self._value_b[:, band])
-        size, n = self._layout.size, self._layout.photos
-        shared, shared_right = np.zeros((size - 2 * n, size - 2 * n)), np.zeros(size - 2 * n)
-        sums = np.zeros((self._starts.size, 5))
-        edges: list[tuple[Indices, Array]] = []
-        for chunk in self._chunks:
-            edge, inner, own = self._summed(chunk, (weights, middle, known), sums)
-            columns = chunk.columns - 2 * n
-            shared[np.ix_(columns, columns)] += inner
-            shared_right[columns] += own
-            edges.append((columns, edge))
-        gains, offsets = (_stacked([(c, e[i]) for c, e in edges], size - 2 * n) for i in (0, 1))
-        k, kt = self._incidence, self._incidence.T
-        gg, go, oo = (k @ diags(sums[:, i]) @ kt for i in range(3))
-        matrix = _bordered([[gg, go, k @ gains], [go, oo, k @ offsets]], csr_matrix(shared))
-        return matrix, -np.concatenate([k @ sums[:, 3], k @ sums[:, 4], shared_right])
+        def of_photos(values: Array, sign: float) -> Array:
+            first, second = (np.bincount(end, values, minlength=n) for end in (a, b))
+            return np.asarray(first + sign * second)
+
+        gg, go, oo, gain, offset = sums.T
+        right[:n], right[n : 2 * n] = of_photos(gain, -1.0), of_photos(offset, -1.0)
+        diagonal = [of_photos(values, 1.0) for values in (gg, go, oo)]
+        return self._matrix.filled([*diagonal, -gg, -go, -go, -oo, prior, *border]), -right
 
     def _summed(
-        self, chunk: _Chunk, terms: tuple[Array, Array, Array], sums: Array
+        self, kind: _Kind, terms: tuple[Array, Array, Array], sums: Array
     ) -> tuple[Array, Array, Array]:
-        """Sums of a chunk: pairs by shared unknowns, shared ones, their right side."""
-        b, count = chunk.blocks, chunk.columns.size
-        pairs = chunk.pairs.stop - chunk.pairs.start
-        edge, inner = np.zeros((2, pairs, count)), np.zeros((count, count))
-        right = np.zeros(count)
-        number = self._pair_of[b] - chunk.pairs.start
-        weights, middle, known = (term[b] for term in terms)
-        ends = (chunk.shapes_a, chunk.shapes_b)
-        out = (sums[chunk.pairs], edge, inner, right)
-        _accumulate(ends, number, weights, middle, known, out)
-        return edge, np.asarray(inner + np.tril(inner, -1).T), right
+        """Sums of a kind: photos by shared unknowns for gain and offset, shared, their right side.
 
-    def _shapes(self, blocks: slice) -> tuple[Indices, Floats, Floats]:
-        """Columns of the unknowns that photos share, and their shapes at both ends of blocks."""
-        o, lay = self._o, self._layout
-        ends = []
-        for photos, xy, view in ((o.a, o.xy_a, o.view_a), (o.b, o.xy_b, o.view_b)):
-            first = int(photos[blocks.start])
-            camera, flight = int(lay.camera[first]), int(lay.flight[first])
-            parts = (lay.vignetting(camera), lay.trend(flight))
-            columns = np.concatenate([np.arange(p.start, p.stop) for p in parts])
-            trend = trend_basis(view[blocks], self._reach, self._spots.get(flight))
-            pieces = (radial_basis(xy[blocks]), trend)
-            ends.append((columns, np.concatenate(pieces, axis=1)))
-        columns = np.union1d(ends[0][0], ends[1][0])
-        full = np.zeros((2, blocks.stop - blocks.start, columns.size), np.float32)
-        for out, (own, shape) in zip(full, ends, strict=True):
-            out[:, np.searchsorted(columns, own)] = shape
-        return columns, full[0], full[1]
+        `terms` are weights, slopes and known differences; `sums` (pairs, 5) is filled.
+        """
+        first, count = kind.pairs.start, kind.columns.size
+        edge = np.zeros((kind.pairs.stop - first, 2, count))
+        inner, right = np.zeros((count, count)), np.zeros(count)
+        for chunk in kind.chunks:
+            rows = slice(chunk.pairs.start - first, chunk.pairs.stop - first)
+            number = self._pair_of[chunk.blocks] - chunk.pairs.start
+            weights, slope, known = (term[chunk.blocks] for term in terms)
+            out = (sums[chunk.pairs], edge[rows], inner, right)
+            _accumulate((chunk.shapes_a, chunk.shapes_b), number, weights, slope, known, out)
+        both = kind.incidence @ edge.reshape(-1, 2 * count)
+        return both.reshape(-1, 2, count), inner, right
+
+    def _columns(self, photo: int) -> Indices:
+        """Unknowns that a photo shares with others."""
+        lay = self._layout
+        own = lay.vignetting(int(lay.camera[photo])), lay.trend(int(lay.flight[photo]))
+        return np.concatenate([np.arange(part.start, part.stop) for part in own])
+
+    def _shapes(self, photo: int, columns: Indices, xy: Floats, view: Floats) -> Floats:
+        """Shapes of shared unknowns at places of photos like one; (blocks, columns)."""
+        spot = self._spots.get(int(self._layout.flight[photo]))
+        shapes = (radial_basis(xy), trend_basis(view, self._reach, spot))
+        out = np.zeros((len(xy), columns.size), np.float32)
+        out[:, np.searchsorted(columns, self._columns(photo))] = np.concatenate(shapes, axis=1)
+        return out
 
 
 def _kinds(overlaps: Overlaps, layout: Layout) -> Indices:
@@ -250,16 +304,23 @@ def _chosen(overlaps: Overlaps, which: Indices | Mask) -> Overlaps:
     return Overlaps(**{f.name: getattr(overlaps, f.name)[which] for f in fields(Overlaps)})
 
 
-def _pieces(starts: Indices, count: int, kinds: Indices) -> Iterator[tuple[slice, slice]]:
-    """Blocks and pairs of runs of pairs of one kind, about `CHUNK` blocks each."""
-    ends = np.append(starts[1:], count)
+def _incidence(pairs: Indices, photos: int) -> Any:
+    """+1 and -1 where a photo is the first or the second of a pair (2, pairs); (photos, pairs)."""
+    from scipy.sparse import csr_matrix
+
+    count = pairs.shape[1]
+    signs = np.repeat([1.0, -1.0], count)
+    number = np.tile(np.arange(count), 2)
+    return csr_matrix((signs, (pairs.ravel(), number)), shape=(photos, count))
+
+
+def _pieces(ends: Indices) -> Iterator[slice]:
+    """Runs of pairs of about `CHUNK` blocks, from where pairs begin and the last one ends."""
     first = 0
-    for pair in range(starts.size):
-        last = pair + 1 == starts.size
-        full = ends[pair] - starts[first] >= CHUNK
-        if last or full or kinds[pair + 1] != kinds[pair]:
-            yield slice(int(starts[first]), int(ends[pair])), slice(first, pair + 1)
-            first = pair + 1
+    for pair in range(1, ends.size):
+        if pair + 1 == ends.size or ends[pair] - ends[first] >= CHUNK:
+            yield slice(first, pair)
+            first = pair
 
 
 @compiled
@@ -267,18 +328,20 @@ def _accumulate(
     ends: tuple[Floats, Floats],
     pair: Indices,
     weights: Array,
-    middle: Array,
+    slope: Array,
     known: Array,
     out: tuple[Array, Array, Array, Array],
 ) -> None:
-    """Add up the normal equations of blocks: per pair, per pair and shape, lower triangle, right.
+    """Add up the normal equations: per pair, per pair and shape, lower triangle, right side.
 
     Array expressions would go through memory five times for each of these.
     """
     sums, edge, inner, right = out
     shapes = np.empty(right.size)
     for i in range(weights.size):
-        w, m, p = weights[i], middle[i], pair[i]
+        w, m, p = weights[i], slope[i], pair[i]
+        if w == 0.0:
+            continue
         w_m = w * m
         w_mm = w_m * m
         sums[p, 0] += w_mm
@@ -289,27 +352,8 @@ def _accumulate(
         for j in range(right.size):
             d = np.float64(ends[0][i, j]) - np.float64(ends[1][i, j])
             shapes[j] = d
-            edge[0, p, j] += w_mm * d
-            edge[1, p, j] += w_m * d
+            edge[p, 0, j] += w_mm * d
+            edge[p, 1, j] += w_m * d
             right[j] += w_m * known[i] * d
             for k in range(j + 1):
                 inner[j, k] += w_mm * d * shapes[k]
-
-
-def _stacked(parts: list[tuple[Indices, Array]], width: int) -> Any:
-    """Sparse (pairs, width) from dense pieces over some of its columns."""
-    from scipy.sparse import csr_matrix
-
-    values = np.concatenate([part.ravel() for _, part in parts])
-    columns = np.concatenate([np.tile(own, part.shape[0]) for own, part in parts])
-    counts = np.concatenate([np.full(part.shape[0], part.shape[1]) for _, part in parts])
-    pointers = np.concatenate([[0], np.cumsum(counts)])
-    return csr_matrix((values, columns, pointers), shape=(counts.size, width))
-
-
-def _bordered(rows: list[list[Any]], corner: NDArray[Any] | Any) -> Any:
-    """Whole symmetric matrix from its upper rows of blocks and its last block."""
-    from scipy.sparse import bmat
-
-    (gg, go, gs), (_, oo, os) = rows
-    return bmat([[gg, go, gs], [go, oo, os], [gs.T, os.T, corner]], format="csc")

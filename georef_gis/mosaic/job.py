@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,9 @@ from georef_gis.model.plan import TileTask
 from georef_gis.mosaic.nadir import MosaicSource, NadirMosaic
 from georef_gis.mosaic.seam_mismatch import MismatchProbe
 from georef_gis.mosaic.seamed import ColourField, SeamMosaic, Seams
+from georef_gis.mosaic.tile_maker import MadeTile, Read, TileMaker, checked_reader
 from georef_gis.rasters.reading import decode_image, read_image
-from georef_gis.rasters.warp import Image, ImageCache, Mask
-
-Read = Callable[[Path, int], Image]
+from georef_gis.rasters.warp import Image, ImageCache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,6 +43,8 @@ class MosaicJob:
         Which photo has which ground; None = the photo with the nearest nadir.
     field
         What is done to grey values along seams; None leaves them.
+    probe
+        Where on the seams photos are compared; None = nowhere.
     """
 
     sources: tuple[MosaicSource, ...]
@@ -53,10 +54,9 @@ class MosaicJob:
     kind: tuple[int, str]
     seams: Seams | None = None
     field: ColourField | None = None
+    probe: MismatchProbe | None = None
 
-    def open(
-        self, read: Read, broken: list[str], probe: MismatchProbe | None = None
-    ) -> NadirMosaic | SeamMosaic:
+    def open(self, read: Read, broken: list[str]) -> NadirMosaic | SeamMosaic:
         """Who makes the tiles; `broken` takes the messages of photos that cannot be read."""
         read = checked_reader(read, self.kind)
         if self.seams is None:
@@ -66,25 +66,19 @@ class MosaicJob:
             )
         return SeamMosaic(
             self.sources, self.ground, self.grid, seams=self.seams, field=self.field, read=read,
-            broken=broken, probe=probe,
+            broken=broken,
         )  # fmt: skip
 
 
-def checked_reader(get: Read, kind: tuple[int, str]) -> Read:
-    """Reader of photos that refuses those whose bands are not the mosaic's."""
+def read_photo(path: Path | str, reduce: int) -> Image:
+    """Pixels of a photo of a mosaic: its alpha channel is no band.
 
-    def read(path: Path, reduce: int) -> Image:
-        image = get(path, reduce)
-        own = (int(image.shape[2]), str(image.dtype))
-        if own != kind:
-            raise InputError(
-                f"has bands {own[0]} x {own[1]} where the mosaic has {kind[0]} x {kind[1]}: not in "
-                "the mosaic; make it a mosaic of its own",
-                source=path.name,
-            )
-        return image
-
-    return read
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    return read_image(path, reduce=reduce, alpha=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +104,7 @@ class PhotoRoot:
         return "/".join([self.there.rstrip("/\\"), *path.relative_to(self.here).parts])
 
     def read(self, path: Path, reduce: int) -> Image:
-        """Pixels of a photo, as `read_image` gives them.
+        """Pixels of a photo, as `read_photo` gives them.
 
         Raises
         ------
@@ -119,8 +113,8 @@ class PhotoRoot:
         """
         place = self.place(path)
         if "://" not in place:
-            return read_image(place, reduce=reduce)
-        return decode_image(_fetched(place, path.name), path.name, reduce=reduce)
+            return read_photo(place, reduce)
+        return decode_image(_fetched(place, path.name), path.name, reduce=reduce, alpha=False)
 
 
 def _fetched(url: str, name: str) -> bytes:
@@ -141,15 +135,13 @@ def _fetched(url: str, name: str) -> bytes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RenderedTile:
+class RenderedTile(MadeTile):
     """A tile made by a worker.
 
     Parameters
     ----------
     number
         Of the tile in the plan.
-    pixels
-        Pixels (rows, cols, bands) and mask; None where no photo shows it.
     broken
         Messages of all photos that this worker could not read so far.
     worker
@@ -159,7 +151,6 @@ class RenderedTile:
     """
 
     number: int
-    pixels: tuple[Image, Mask | None] | None
     broken: tuple[str, ...]
     worker: str
     decodes: int
@@ -175,18 +166,19 @@ class OpenJob:
         self._tiles = tiles
         self._broken: list[str] = []
         self._cache = ImageCache(read=photos.read)
-        self._mosaic: Any = job.open(self._cache.get, self._broken)
+        self._maker = TileMaker(job, self._cache.get, self._broken)
         self._sketches: dict[int, Any] = {}
         self._lock = threading.Lock()
 
     def tile(self, number: int, ahead: Sequence[int]) -> RenderedTile:
         """Render a tile; `ahead` are those that this worker will as a rule be asked for next."""
         sketch = self._expect([number, *ahead])[number]
-        pixels = self._mosaic.render(sketch)
+        made = self._maker.make(sketch)
         self._cache.finished(number, sketch.keys)
         return RenderedTile(
-            number=number, pixels=pixels, broken=tuple(dict.fromkeys(self._broken)),
-            worker=self.name, decodes=self._cache.decodes,
+            number=number, pixels=made.pixels, whole=made.whole, shifts=made.shifts,
+            broken=tuple(dict.fromkeys(self._broken)), worker=self.name,
+            decodes=self._cache.decodes,
         )  # fmt: skip
 
     def _expect(self, numbers: Sequence[int]) -> Mapping[int, Any]:
@@ -194,7 +186,7 @@ class OpenJob:
         with self._lock:
             known = self._sketches
             for number in sorted(set(numbers) - set(known)):
-                known[number] = sketch = self._mosaic.sketch(self._tiles[number])
+                known[number] = sketch = self._maker.sketch(self._tiles[number])
                 self._cache.announce(number, sketch.keys)
             for number in set(known) - set(numbers):
                 self._cache.finished(number, known.pop(number).keys)

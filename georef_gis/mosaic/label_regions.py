@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import cv2
 import numpy as np
@@ -10,23 +10,57 @@ from numpy.typing import NDArray
 
 from georef_gis.model.grid import Window
 from georef_gis.mosaic.coarse import BLOCK, Mask, Proxy, SparseRaster, common, part_of
+from georef_gis.mosaic.min_cut import STEPS
+from georef_gis.mosaic.windows import box_of, grown
 
 Labels = NDArray[np.int32]
+Indices = NDArray[np.intp]
+# first row and column, last row and column
+Box = tuple[int, int, int, int]
 
 
-def touching(labels: SparseRaster) -> list[tuple[int, int]]:
-    """Pairs of labels (smaller first, in order) that share a side of a pixel somewhere."""
-    found: set[tuple[int, int]] = set()
+def touching(labels: SparseRaster) -> dict[tuple[int, int], Window]:
+    """Pairs of labels (smaller first, in order) that share a side of a pixel, and where.
+
+    The window has the pixels on both sides of all that they share.
+    """
+    found: dict[tuple[int, int], Box] = {}
     for window in labels:
         part = labels.read(
             Window(col=window.col, row=window.row, width=BLOCK + 1, height=BLOCK + 1)
         )
-        for p, q in ((part[:, :-1], part[:, 1:]), (part[:-1], part[1:])):
-            here = (p != q) & (p >= 0) & (q >= 0)
-            pairs = np.stack([p[here], q[here]], axis=1)
-            pairs.sort(axis=1)
-            found.update((int(a), int(b)) for a, b in np.unique(pairs, axis=0))
-    return sorted(found)
+        for dr, dc in STEPS:
+            p, q = part[: BLOCK + 1 - dr, : BLOCK + 1 - dc], part[dr:, dc:]
+            rows, cols = np.nonzero(p != q)
+            low, high = np.sort([p[rows, cols], q[rows, cols]], axis=0)
+            shown = low >= 0
+            rows, cols = rows[shown] + window.row, cols[shown] + window.col
+            for pair, (top, left, bottom, right) in _boxes(low[shown], high[shown], rows, cols):
+                box = top, left, bottom + dr, right + dc
+                found[pair] = _union(found.get(pair, box), box)
+    return {
+        pair: Window(col=left, row=top, width=right - left + 1, height=bottom - top + 1)
+        for pair, (top, left, bottom, right) in sorted(found.items())
+    }
+
+
+def _boxes(
+    low: Labels, high: Labels, rows: Indices, cols: Indices
+) -> Iterator[tuple[tuple[int, int], Box]]:
+    """Pairs of labels and the boxes around their pixels."""
+    order = np.lexsort([high, low])
+    low, high, rows, cols = low[order], high[order], rows[order], cols[order]
+    starts = np.flatnonzero(np.diff(low, prepend=-1) | np.diff(high, prepend=-1))
+    if not starts.size:
+        return
+    ends = [f.reduceat(v, starts).tolist() for f in (np.minimum, np.maximum) for v in (rows, cols)]
+    pairs = zip(low[starts].tolist(), high[starts].tolist(), strict=True)
+    yield from zip(pairs, zip(*ends, strict=True), strict=True)
+
+
+def _union(a: Box, b: Box) -> Box:
+    """Box around two."""
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
 
 
 def dissolve_specks(
@@ -43,6 +77,10 @@ def dissolve_specks(
     photo
         Gives the photo of a label.
     """
+    box = box_of(labels.read(window) == index, window)
+    if box is None:
+        return
+    window = grown(box)
     values = labels.read(window)
     count, parts, stats, _ = cv2.connectedComponentsWithStats(
         (values == index).view(np.uint8), connectivity=4
@@ -55,15 +93,15 @@ def dissolve_specks(
         if k == largest:
             continue
         left, top, width, height = (int(v) for v in stats[k, :4])
-        box = slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
-        speck = parts[box] == k
+        part = slice(top - 1, top + height + 1), slice(left - 1, left + width + 1)
+        speck = parts[part] == k
         at = Window(
-            col=window.col + box[1].start, row=window.row + box[0].start,
+            col=window.col + left - 1, row=window.row + top - 1,
             width=speck.shape[1], height=speck.shape[0],
         )  # fmt: skip
-        for heir in _neighbours(values[box], speck, index):
+        for heir in _neighbours(values[part], speck, index):
             if _shows(photo(heir), at, speck):
-                values[box][speck] = heir
+                values[part][speck] = heir
                 labels.write(at, np.full(speck.shape, heir, np.int32), speck)
                 break
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
-from georef_gis.model.mesh import Ground, choose_step, node_positions, parallax
+from georef_gis.model.mesh import Ground, node_positions, parallax
+from georef_gis.model.mesh_step import choose_step
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.plan import TileTask
 from georef_gis.rasters.warp import (
@@ -25,10 +26,10 @@ from georef_gis.rasters.warp import (
     blank,
     blocks,
     copy_where,
+    ground_mesh,
     inside_image,
     largest_move,
     positions,
-    relief,
     sample,
     upsample,
 )
@@ -198,7 +199,7 @@ class NadirMosaic:
         """Render block by block: most blocks show one photo alone and need no blending."""
         window, step = sketch.task.window, sketch.step
         shape = (window.height, window.width)
-        delta = relief(self._ground, self._grid, window, step)
+        delta = ground_mesh(self._ground, self._grid, window, step).delta
         maps = [positions(a.uv, step, shape, delta, a.moves) for a in sketch.layers]
         slack = [largest_move(delta, layer.moves) for layer in sketch.layers]
         first = self._image(*sketch.keys[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,19 +12,22 @@ from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.model.grid import Window
-from georef_gis.mosaic.coarse import Mask, Proxy, ProxySource
-
-Floats = NDArray[np.float32]
-Indices = NDArray[np.int64]
-# place(photo, cols, rows) -> (xy, view): see `gather_overlaps`
-Place = Callable[[int, Array, Array], tuple[Array, Array]]
+from georef_gis.mosaic.block_means import (
+    Blocks,
+    Floats,
+    Indices,
+    Place,
+    Samples,
+    block_means,
+    evenly,
+)
+from georef_gis.mosaic.coarse import Mask, ProxySource
 
 # directions in which partners are looked for: the best overlap alone would be along the strip
 SECTORS = 8
 # photos whose candidates are looked at together: bounds the memory where all photos overlap
 BATCH = 256
-# two irrational steps (the plastic number): what they choose of a lattice is spread evenly
-STEPS = (0.7548776662466927, 0.5698402909980532)
+LEAST_SAMPLES = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +43,8 @@ class OverlapSettings:
         Photos that each is compared with.
     blocks_per_pair, blocks_in_all
         Blocks at most.
+    samples_per_photo, samples_in_all
+        Pixels at most, but for `LEAST_SAMPLES` of a photo.
     value_range
         Grey values at which the data are clipped; None for data without an end.
     clip_margin
@@ -55,10 +60,21 @@ class OverlapSettings:
     partners: int = 10
     blocks_per_pair: int = 150
     blocks_in_all: int = 500_000
+    samples_per_photo: int = 150
+    samples_in_all: int = 200_000
     value_range: tuple[float, float] | None = None
     clip_margin: float = 0.02
     texture: float = 0.05
-    kept: int = 1000
+    kept: int = 400
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """Grey values beyond which a pixel counts as clipped."""
+        if self.value_range is None:
+            return None
+        low, high = self.value_range
+        margin = self.clip_margin * (high - low)
+        return low + margin, high - margin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +91,8 @@ class Overlaps:
         Place in the photo, from the principal point, in half diagonals.
     view_a, view_b : shape (k, 2)
         Horizontal part (east, north) of the unit vector from the ground to the camera.
-    weight : shape (k,)
-        1, less where the texture is strong.
+    weight : shape (k, bands)
+        1, less where the texture is strong, 0 where a photo is clipped in that band.
     """
 
     a: Indices
@@ -98,26 +114,10 @@ class Overlaps:
         """Number of bands."""
         return int(self.value_a.shape[1])
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Blocks:
-    """Block means of a photo on the lattice of blocks that all photos share.
-
-    `row`, `col` are of the first block. `mean` has the shape (rows, cols, bands), `spread` and
-    `good` (rows, cols), `xy` and `view` (rows, cols, 2).
-    """
-
-    row: int
-    col: int
-    mean: Floats
-    spread: Floats
-    good: Mask
-    xy: Floats
-    view: Floats
-
-    def part(self, top: int, left: int, shape: tuple[int, int]) -> tuple[slice, slice]:
-        r, c = top - self.row, left - self.col
-        return slice(r, r + shape[0]), slice(c, c + shape[1])
+    @property
+    def known_bands(self) -> Mask:
+        """Which bands are not clipped everywhere; (bands,)."""
+        return np.asarray((self.weight > 0.0).any(axis=0))
 
 
 class _BlockCache:
@@ -125,19 +125,37 @@ class _BlockCache:
 
     def __init__(self, source: ProxySource, place: Place, settings: OverlapSettings) -> None:
         self._source, self._place, self._settings = source, place, settings
-        self._kept: OrderedDict[int, _Blocks] = OrderedDict()
+        self._kept: OrderedDict[int, Blocks] = OrderedDict()
+        self.samples: dict[int, Samples] = {}
 
-    def get(self, index: int) -> _Blocks:
+    def get(self, index: int) -> Blocks:
         found = self._kept.pop(index, None)
         if found is None:
-            found = _block_means(index, self._source.load(index), self._place, self._settings)
+            found = self._made(index)
+            self.samples[index] = found.samples
         self._kept[index] = found
         while len(self._kept) > max(2, self._settings.kept):
             self._kept.popitem(last=False)
         return found
 
+    def _made(self, index: int) -> Blocks:
+        settings = self._settings
+        share = settings.samples_in_all // len(self._source.ids)
+        return block_means(
+            index, self._source.load(index), self._place, size=settings.block, ends=settings.ends,
+            samples=max(LEAST_SAMPLES, min(settings.samples_per_photo, share)),
+        )  # fmt: skip
 
-def gather_overlaps(source: ProxySource, place: Place, *, settings: OverlapSettings) -> Overlaps:
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gathered:
+    """What photos of a mosaic show: ground in common, and pixels of each that has a partner."""
+
+    overlaps: Overlaps
+    samples: Samples
+
+
+def gather_overlaps(source: ProxySource, place: Place, *, settings: OverlapSettings) -> Gathered:
     """Compare all photos of a flight with those that overlap them; each is loaded about once.
 
     Parameters
@@ -152,21 +170,30 @@ def gather_overlaps(source: ProxySource, place: Place, *, settings: OverlapSetti
     if len(pairs):
         limit = max(1, min(limit, settings.blocks_in_all // len(pairs)))
     cache = _BlockCache(source, place, settings)
-    found: dict[tuple[int, int], tuple[NDArray[np.generic], ...]] = {}
+    found: dict[tuple[int, int], tuple[NDArray[Any], ...]] = {}
     for i, j in _in_reading_order(source.windows, pairs):
         common = _compare(cache.get(i), cache.get(j), limit)
         if common is not None:
             count = common[0].shape[0]
             found[i, j] = (np.full(count, i), np.full(count, j), *common)
-    if not found:
-        return _nothing(source.load(0).data.shape[2] if len(source.ids) else 1)
-    parts = [found.pop(pair) for pair in sorted(found)]
-    a, b, va, vb, xa, xb, na, nb, spread = (np.concatenate(p) for p in zip(*parts, strict=True))
+    if found:
+        overlaps = _joined([found.pop(pair) for pair in sorted(found)], settings)
+    else:
+        overlaps = _nothing(source.load(0).data.shape[2] if len(source.ids) else 1)
+    parts = [cache.samples[index] for index in sorted(cache.samples)]
+    return Gathered(overlaps=overlaps, samples=Samples.joined(parts, overlaps.bands))
+
+
+def _joined(parts: list[tuple[NDArray[Any], ...]], settings: OverlapSettings) -> Overlaps:
+    """Overlaps from the pieces of all pairs."""
+    columns = (np.concatenate(part) for part in zip(*parts, strict=True))
+    a, b, va, vb, xa, xb, na, nb, spread, good = columns
     typical = max(float(np.median(np.abs(va))), 1e-30)
-    relative = spread / (settings.texture * typical)
+    relative = spread / np.float32(settings.texture * typical)
+    smooth = (1.0 / (1.0 + relative**2)).astype(np.float32)
     return Overlaps(
         a=a, b=b, value_a=va, value_b=vb, xy_a=xa, xy_b=xb, view_a=na, view_b=nb,
-        weight=(1.0 / (1.0 + relative**2)).astype(np.float32),
+        weight=good * smooth[:, None],
     )  # fmt: skip
 
 
@@ -175,7 +202,7 @@ def _nothing(bands: int) -> Overlaps:
     values = np.zeros((0, bands), np.float32)
     return Overlaps(
         a=none, b=none, value_a=values, value_b=values, xy_a=two, xy_b=two, view_a=two,
-        view_b=two, weight=np.zeros(0, np.float32),
+        view_b=two, weight=values,
     )  # fmt: skip
 
 
@@ -256,73 +283,23 @@ def _morton(p: Array) -> Indices:
     return code
 
 
-def _block_means(index: int, proxy: Proxy, place: Place, settings: OverlapSettings) -> _Blocks:
-    """Means over the blocks that a photo shows wholly."""
-    size, window = settings.block, proxy.window
-    row, col = -(-window.row // size), -(-window.col // size)
-    rows = max(0, (window.row + window.height) // size - row)
-    cols = max(0, (window.col + window.width) // size - col)
-    top, left = row * size - window.row, col * size - window.col
-    inner = (slice(top, top + rows * size), slice(left, left + cols * size))
-    data = proxy.data[inner]
-    usable = proxy.valid[inner] & np.isfinite(data).all(axis=2) & ~_clipped(data, settings)
-    good = np.asarray(_summed(usable[..., None], size)[..., 0] == size**2)
-    mean, spread = _mean_and_spread(np.where(usable[..., None], data, np.float32(0.0)), size)
-    r, c = np.nonzero(good)
-    xy, view = np.zeros((rows, cols, 2), np.float32), np.zeros((rows, cols, 2), np.float32)
-    if r.size:
-        p: Array = np.stack([col + c + 0.5, row + r + 0.5]) * size
-        xy[r, c], view[r, c] = place(index, p[0], p[1])
-        good[~(np.isfinite(xy).all(axis=2) & np.isfinite(view).all(axis=2))] = False
-    return _Blocks(row, col, mean, spread, good, xy, view)
-
-
-def _mean_and_spread(data: Floats, size: int) -> tuple[Floats, Floats]:
-    """Mean of blocks (rows, cols, bands) and deviation in them, the mean of all bands."""
-    mean = np.asarray(_summed(data, size) / np.float32(size**2), dtype=np.float32)
-    # from a grey value near by, as the squares of float32 have seven digits only
-    level = np.float32(data.mean()) if data.size else np.float32(0.0)
-    near = data - level
-    square = _summed(near**2, size) / np.float32(size**2)
-    variance = square - (mean - level) ** 2
-    return mean, np.asarray(np.sqrt(np.maximum(variance, 0.0)).mean(axis=2), dtype=np.float32)
-
-
-def _summed(values: NDArray[Any], size: int) -> NDArray[Any]:
-    """Sum over blocks of `size`; along the rows first, which is many times as fast as both."""
-    height, width, bands = values.shape
-    rows, cols = height // size, width // size
-    narrow = values.reshape(rows, size, width * bands).sum(axis=1)
-    return np.asarray(narrow.reshape(rows, cols, size, bands).sum(axis=2))
-
-
-def _clipped(data: Floats, settings: OverlapSettings) -> Mask:
-    """Where any band is near an end of its range; (rows, cols, bands) -> (rows, cols)."""
-    if settings.value_range is None:
-        return np.zeros(data.shape[:2], np.bool_)
-    low, high = settings.value_range
-    margin = settings.clip_margin * (high - low)
-    return np.asarray(((data < low + margin) | (data > high - margin)).any(axis=2))
-
-
-def _compare(a: _Blocks, b: _Blocks, limit: int) -> tuple[Floats, ...] | None:
-    """Values, places and views of both, and the larger spread, over blocks that both show."""
+def _compare(a: Blocks, b: Blocks, limit: int) -> tuple[NDArray[Any], ...] | None:
+    """Values, places and views of both, larger spread, good bands, of blocks that both show."""
     top, left = max(a.row, b.row), max(a.col, b.col)
     rows = min(a.row + a.good.shape[0], b.row + b.good.shape[0]) - top
     cols = min(a.col + a.good.shape[1], b.col + b.good.shape[1]) - left
     if rows <= 0 or cols <= 0:
         return None
     in_a, in_b = a.part(top, left, (rows, cols)), b.part(top, left, (rows, cols))
-    r, c = np.nonzero(a.good[in_a] & b.good[in_b])
+    good = a.good[in_a] & b.good[in_b]
+    r, c = np.nonzero(good.any(axis=2))
     if not r.size:
         return None
-    if r.size > limit:
-        key = ((top + r) * STEPS[0] + (left + c) * STEPS[1]) % 1.0
-        keep = np.sort(np.argsort(key, kind="stable")[:limit])
-        r, c = r[keep], c[keep]
+    which = evenly(top + r, left + c, limit)
+    r, c = r[which], c[which]
     return (
         a.mean[in_a][r, c], b.mean[in_b][r, c],
         a.xy[in_a][r, c], b.xy[in_b][r, c],
         a.view[in_a][r, c], b.view[in_b][r, c],
-        np.maximum(a.spread[in_a][r, c], b.spread[in_b][r, c]),
+        np.maximum(a.spread[in_a][r, c], b.spread[in_b][r, c]), good[r, c],
     )  # fmt: skip

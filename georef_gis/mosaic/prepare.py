@@ -13,13 +13,9 @@ from georef_gis.frames import Array
 from georef_gis.model.grid import Grid
 from georef_gis.model.mesh import Ground
 from georef_gis.mosaic.coarse import SparseRaster, nearest_labels
-from georef_gis.mosaic.colour import (
-    ColourModel,
-    ColourSettings,
-    Steps,
-    residual_steps,
-    solve_colour,
-)
+from georef_gis.mosaic.colour import ColourModel, ColourSettings, solve_colour
+from georef_gis.mosaic.colour_level import common_level, with_level
+from georef_gis.mosaic.colour_steps import Steps, residual_steps
 from georef_gis.mosaic.overlaps import Overlaps, OverlapSettings, gather_overlaps
 from georef_gis.mosaic.proxies import CorrectedProxies, ProxyStore
 from georef_gis.mosaic.seams import SeamSettings, optimise_seams
@@ -39,14 +35,22 @@ class Balanced:
         Corrections.
     overlaps
         What they were found from.
-    before, after
-        Differences of photos where they overlap.
+    level
+        Natural logarithm of a factor that all photos have in common, in `model` already: 0, or less
+        where white would be lost.
     """
 
     model: ColourModel
     overlaps: Overlaps
-    before: Steps
-    after: Steps
+    level: float
+
+    def before(self) -> Steps:
+        """Differences of the photos where they overlap."""
+        return residual_steps(self.overlaps, None)
+
+    def after(self) -> Steps:
+        """Differences of the photos with their colours corrected."""
+        return residual_steps(self.overlaps, self.model)
 
 
 def make_proxies(
@@ -94,23 +98,36 @@ def balance(
     mode: ColourMode,
     value_range: tuple[float, float] | None,
     check: Callable[[], None],
+    bent: bool = False,
 ) -> Balanced:
-    """Solve the colour of all photos from what they show in common; `check` may raise to stop."""
+    """Solve the colour of all photos from what they show in common.
+
+    Parameters
+    ----------
+    cameras, flights
+        Names of each photo's.
+    value_range
+        Least and largest grey value; None if there is no end.
+    check
+        May raise to stop.
+    bent
+        Whether gains spare what is near white, see `tone.py`: who corrects pixels must then use
+        `model.knee`.
+    """
 
     def place(index: int, cols: Array, rows: Array) -> tuple[Array, Array]:
         check()
         return store.places(index, cols, rows, ground)
 
-    overlaps = gather_overlaps(store, place, settings=OverlapSettings(value_range=value_range))
-    n = len(store.ids)
-    model = solve_colour(overlaps, n, cameras, flights, ColourSettings(mode=mode))
-    nothing = solve_colour(overlaps, n, cameras, flights, ColourSettings(mode="none"))
-    return Balanced(
-        model=model,
-        overlaps=overlaps,
-        before=residual_steps(overlaps, nothing),
-        after=residual_steps(overlaps, model),
-    )
+    found = gather_overlaps(store, place, settings=OverlapSettings(value_range=value_range))
+    top = 0.0 if value_range is None or value_range[0] != 0.0 else value_range[1]
+    settings = ColourSettings(mode=mode, knee=1.0 / top if bent and top else 0.0)
+    model = solve_colour(found.overlaps, len(store.ids), cameras, flights, settings, found.samples)
+    level = 0.0
+    if top and mode != "none":
+        level = common_level(model, found.samples, top)
+    model = with_level(model, level, found.overlaps.known_bands)
+    return Balanced(model=model, overlaps=found.overlaps, level=level)
 
 
 def choose_seams(
@@ -118,13 +135,13 @@ def choose_seams(
     coarse: Grid,
     *,
     optimised: bool,
+    workers: int = 1,
     cancelled: Callable[[], bool],
     progress: Progress,
 ) -> SparseRaster:
-    """Which photo shows which ground, on the coarse grid."""
-    nearest = nearest_labels(source, coarse)
+    """Which photo shows which ground, on the coarse grid; the same for any number of workers."""
     if not optimised:
-        return nearest
+        return nearest_labels(source, coarse)
     return optimise_seams(
-        source, coarse, nearest, SeamSettings(), cancelled=cancelled, progress=progress
+        source, coarse, SeamSettings(), workers=workers, cancelled=cancelled, progress=progress
     )

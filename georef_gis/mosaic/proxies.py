@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-import zipfile
-from collections import OrderedDict
+import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,19 +17,24 @@ from georef_gis.frames import Array
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.mesh import Ground, node_positions
 from georef_gis.model.photo import OrientedPhoto
+from georef_gis.mosaic.byte_cache import ByteCache
 from georef_gis.mosaic.coarse import Mask, Proxy
 from georef_gis.mosaic.nadir import DOUBT_PENALTY, RIM, RIM_PENALTY, edge_distance
-from georef_gis.rasters.warp import Image, upsample, warp_window
+from georef_gis.mosaic.tone import toned
+from georef_gis.rasters.warp import Image, ground_mesh, sample, upsample
 
-# coarse px between the places at which the distance from the nadir is kept
-DISTANCE_STEP = 8
 # coarse px at the rim of a photo that do not count: blurred by the reduction, and half covered
 RIM_PIXELS = 1
-# coarse px between the nodes through which photos are reduced; they need be good to no more than
-# a fraction of a coarse pixel, and relief between the nodes counts all the same
+# coarse px between the nodes through which photos are reduced, and at which distances are kept:
+# they need be good to no more than a fraction of a coarse pixel, and relief between the nodes
+# counts all the same
 STEP = 8
-# corrected proxies in memory at once
-KEPT = 20
+# m; by a rise so small that it is a derivative, and large against what rounding leaves
+RISE = 0.05
+# bytes; what corrected proxies may take
+CORRECTED_BYTES = 40_000_000
+# end of a proxy's file: a power cut may have left less
+WHOLE = b"whole\n"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,30 +70,49 @@ class _Made:
 
 
 def _make(source: ProxyPhoto, image: Image, ground: Ground, coarse: Grid) -> _Made:
-    window, photo = source.window, source.photo
-    shape = (window.height, window.width)
-    found = warp_window(photo, image, ground, coarse, window, step=STEP, reduce=source.reduce)
-    if found is None:
-        bands = image.shape[2]
-        data, valid = np.zeros((*shape, bands), image.dtype), np.zeros(shape, np.bool_)
-    else:
-        data, mask = found
-        valid = np.ones(shape, np.bool_) if mask is None else mask
+    window, camera = source.window, source.photo.camera
+    mesh = ground_mesh(ground, coarse, window, STEP)
+    uv, move = _pixels(source.photo, mesh.p_enu, relief=mesh.delta is not None)
+    place = _positions((uv + 0.5) / source.reduce - 0.5, move / source.reduce, mesh.delta, window)
+    # NaN is not in the range
+    edge = (camera.width / source.reduce - 0.5, camera.height / source.reduce - 0.5)
+    seen = np.asarray(cv2.inRange(place, (-0.5, -0.5), edge), dtype=np.uint8)
+    data = sample(image, place)
     if data.dtype.kind == "f":
         # a nodata value of floats must not spread
-        known = np.asarray(np.isfinite(data).all(axis=2))
-        valid, data = valid & known, np.where(known[..., None], data, data.dtype.type(0.0))
+        seen[~np.isfinite(data).all(axis=2)] = 0
+    data = cv2.copyTo(data, seen, np.zeros_like(data)).reshape(data.shape)
     kernel = np.ones((2 * RIM_PIXELS + 1, 2 * RIM_PIXELS + 1), np.uint8)
     # what lies beyond the window is not seen either
-    inner = cv2.erode(valid.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return _Made(data=data, valid=inner > 0, distance=_distance(source, ground, coarse))
+    inner = cv2.erode(seen, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    return _Made(data=data, valid=inner > 0, distance=_distance(source, mesh.p_enu, uv))
 
 
-def _distance(source: ProxyPhoto, ground: Ground, coarse: Grid) -> NDArray[np.float32]:
-    """Distance from the nadir, m, at the nodes of the window, as the nadir mosaic counts it."""
-    p_enu = ground.enu_at(coarse, node_positions(source.window, DISTANCE_STEP))
+def _pixels(photo: OrientedPhoto, p_enu: Array, *, relief: bool) -> tuple[Array, Array]:
+    """Pixels of ground points, and how far they move per metre of height; (..., 2) px, px/m."""
+    if not relief:
+        uv = photo.project(p_enu)
+        return uv, np.zeros_like(uv)
+    up = np.array([0.0, 0.0, RISE])
+    uv, raised = photo.project(np.stack([p_enu, p_enu + up]))
+    return uv, (raised - uv) / RISE
+
+
+def _positions(
+    nodes: Array, move: Array, delta: NDArray[np.float32] | None, window: Window
+) -> NDArray[np.float32]:
+    """Pixels at every place of a window from its nodes, moved by what the mesh leaves out."""
+    shape = (window.height, window.width)
+    out = upsample(nodes, STEP, shape)
+    if delta is None:
+        return out
+    moved = cv2.multiply(upsample(move, STEP, shape), cv2.merge([delta, delta]))
+    return np.asarray(cv2.add(out, moved), dtype=np.float32)
+
+
+def _distance(source: ProxyPhoto, p_enu: Array, uv: Array) -> NDArray[np.float32]:
+    """Distance from the nadir, m, of ground points at pixels, as the nadir mosaic counts it."""
     camera, origin = source.photo.camera, source.photo.pose.origin_enu
-    uv = source.photo.project(p_enu)
     d = np.hypot(p_enu[..., 0] - origin[0], p_enu[..., 1] - origin[1])
     rim = RIM * min(camera.width, camera.height)
     edge = edge_distance(uv, camera.width, camera.height)
@@ -97,10 +120,6 @@ def _distance(source: ProxyPhoto, ground: Ground, coarse: Grid) -> NDArray[np.fl
     if source.doubtful:
         d = d + DOUBT_PENALTY * source.reach
     return np.asarray(np.nan_to_num(d, nan=1e6, posinf=1e6), dtype=np.float32)
-
-
-# numpy reads its headers through `ast`, which in Python 3.11 fails now and then in two threads
-_LOADING = threading.Lock()
 
 
 class ProxyStore:
@@ -142,11 +161,16 @@ class ProxyStore:
         return self._photos[index].photo
 
     def _path(self, index: int) -> Path:
-        return self._folder / f"{index:06d}.npz"
+        return self._folder / f"{index:06d}.proxy"
 
     def has(self, index: int) -> bool:
         """Whether a photo's proxy is there, whole: a power cut may leave it empty."""
-        return zipfile.is_zipfile(self._path(index))
+        try:
+            with self._path(index).open("rb") as file:
+                file.seek(-len(WHOLE), os.SEEK_END)
+                return file.read() == WHOLE
+        except OSError:
+            return False
 
     def make(self, index: int, read: Callable[[Path, int], Image], ground: Ground) -> None:
         """Make one photo's proxy; it appears whole or not at all.
@@ -161,23 +185,34 @@ class ProxyStore:
         made = _make(source, image, ground, self._coarse)
         self._folder.mkdir(parents=True, exist_ok=True)
         part = self._path(index).with_suffix(".part")
+        about = {"dtype": made.data.dtype.str, "bands": made.data.shape[2]}
         with part.open("wb") as file:
-            np.savez(file, data=made.data, valid=np.packbits(made.valid), distance=made.distance)
+            file.write(json.dumps(about).encode() + b"\n")
+            for array in (made.data, np.packbits(made.valid), made.distance):
+                file.write(np.ascontiguousarray(array).data)
+            file.write(WHOLE)
         part.replace(self._path(index))
 
     def load(self, index: int) -> Proxy:
         """One photo, as it was made."""
         source = self._photos[index]
         window = source.window
-        shape = (window.height, window.width)
-        with _LOADING, np.load(self._path(index)) as kept:
-            data = kept["data"].astype(np.float32)
-            count = shape[0] * shape[1]
-            valid = np.unpackbits(kept["valid"], count=count).reshape(shape).astype(np.bool_)
-            distance = upsample(kept["distance"], DISTANCE_STEP, shape)
+        rows, cols = window.height, window.width
+        raw = self._path(index).read_bytes()
+        at = raw.index(b"\n") + 1
+        about = json.loads(raw[:at])
+        data = np.frombuffer(raw, about["dtype"], rows * cols * about["bands"], at)
+        at += data.nbytes
+        bits = np.frombuffer(raw, np.uint8, -(-rows * cols // 8), at)
+        nodes = (-(-rows // STEP) + 2, -(-cols // STEP) + 2)
+        near: Any = np.frombuffer(raw, np.float32, nodes[0] * nodes[1], at + bits.size)
+        valid = np.unpackbits(bits, count=rows * cols).reshape(rows, cols).astype(np.bool_)
+        distance = upsample(near.reshape(nodes), STEP, (rows, cols)).copy()
+        distance[~valid] = np.inf
         return Proxy(
-            photo_id=source.photo.id, window=window, data=data, valid=valid,
-            distance=np.where(valid, distance, np.float32(np.inf)),
+            photo_id=source.photo.id, window=window,
+            data=data.astype(np.float32).reshape(rows, cols, about["bands"]), valid=valid,
+            distance=distance,
         )  # fmt: skip
 
     def places(self, index: int, cols: Array, rows: Array, ground: Ground) -> tuple[Array, Array]:
@@ -216,6 +251,11 @@ def place_in_photo(photo: OrientedPhoto, p_enu: Array, uv: Any = None) -> tuple[
 class PhotoColour(Protocol):
     """Colour corrections of the photos of a mosaic."""
 
+    @property
+    def knee(self) -> float:
+        """One over the grey value that factors leave as it is, see `tone.py`; 0 = none."""
+        ...
+
     def factor(self, photo: int, xy: Array, view: Array) -> Array:
         """What values are multiplied by at places of a photo; (..., 2) twice -> (..., bands)."""
         ...
@@ -230,8 +270,7 @@ class CorrectedProxies:
 
     def __init__(self, store: ProxyStore, colour: PhotoColour, ground: Ground) -> None:
         self._store, self._colour, self._ground = store, colour, ground
-        self._kept: OrderedDict[int, Proxy] = OrderedDict()
-        self._lock = threading.Lock()
+        self._kept = ByteCache(self._made, budget=CORRECTED_BYTES)
 
     def __getstate__(self) -> tuple[ProxyStore, PhotoColour, Ground]:
         """What another process needs."""
@@ -253,27 +292,22 @@ class CorrectedProxies:
 
     def load(self, index: int) -> Proxy:
         """One photo, its colour corrected; its values may exceed their type's range."""
-        with self._lock:
-            found = self._kept.get(index)
-            if found is not None:
-                self._kept.move_to_end(index)
-                return found
-        found = self._made(index)
-        with self._lock:
-            self._kept[index] = found
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return found
+        return self._kept(index)
 
     def _made(self, index: int) -> Proxy:
         proxy = self._store.load(index)
         photo, coarse = self._store.photo(index), self._store.coarse
-        p_enu = self._ground.enu_at(coarse, node_positions(proxy.window, DISTANCE_STEP))
+        p_enu = self._ground.enu_at(coarse, node_positions(proxy.window, STEP))
         xy, view = place_in_photo(photo, p_enu)
+        rows, cols, bands = proxy.data.shape
         nodes = self._colour.factor(index, xy, np.nan_to_num(view))
-        offset = np.asarray(self._colour.offset(index), dtype=np.float32)
-        data = np.empty_like(proxy.data)
-        for band in range(data.shape[2]):
-            factor = upsample(nodes[..., band], DISTANCE_STEP, data.shape[:2])
-            data[..., band] = proxy.data[..., band] * factor + offset[band]
-        return replace(proxy, data=data)
+        factor = upsample(nodes, STEP, (rows, cols)).reshape(proxy.data.shape)
+        knee = self._colour.knee
+        if knee > 0.0:
+            data = toned(proxy.data, factor, np.float32(knee))
+        else:
+            data = np.asarray(cv2.multiply(proxy.data, factor), dtype=np.float32)
+        # long rows: numpy is slow at adding a few values again and again
+        lines = data.reshape(rows, cols * bands)
+        lines += np.tile(np.asarray(self._colour.offset(index), dtype=np.float32), cols)
+        return replace(proxy, data=data.reshape(proxy.data.shape))

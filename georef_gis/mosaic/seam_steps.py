@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.model.grid import Window
 from georef_gis.mosaic.coarse import BLOCK, ProxySource, SparseRaster
-from georef_gis.mosaic.low_blend import LowBlend, low_of
+from georef_gis.mosaic.low_blend import LowBlend
 
 Values = NDArray[np.float32]
 Indices = NDArray[np.int64]
 # coarse px: side of the squares whose means are compared, and places left out between two
 SIDE, EVERY = 9, 4
-# photos in memory at once
-KEPT = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,54 +78,6 @@ def seam_places(labels: SparseRaster) -> SeamPlaces:
     return SeamPlaces(a=a, b=b, col=col, row=row)
 
 
-class _Means:
-    """Means of photos about every coarse pixel, those used last kept."""
-
-    def __init__(self, source: ProxySource, blend: LowBlend | None) -> None:
-        self._source, self._blend = source, blend
-        self._kept: OrderedDict[int, tuple[Window, Values, Values]] = OrderedDict()
-
-    def at(self, index: int, col: Indices, row: Indices) -> tuple[Values, Values]:
-        """Mean of a photo at places, and the same in the result; (k, bands) each."""
-        if index not in self._kept:
-            self._kept[index] = self._made(index)
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        window, mean, result = self._kept[index]
-        c, r = col - window.col, row - window.row
-        inside = (c >= 0) & (r >= 0) & (c < window.width) & (r < window.height)
-        c, r = np.where(inside, c, 0), np.where(inside, r, 0)
-        gone = np.float32(np.nan)
-        return (
-            np.where(inside[:, None], mean[r, c], gone),
-            np.where(inside[:, None], result[r, c], gone),
-        )
-
-    def _made(self, index: int) -> tuple[Window, Values, Values]:
-        proxy = self._source.load(index)
-        w, valid = proxy.window, proxy.valid.astype(np.float32)
-        mean = _means(proxy.data, valid)
-        if self._blend is None:
-            return w, mean, mean
-        base, own = low_of(proxy.data, proxy.valid, w)
-        half = Window(
-            col=w.col // 2, row=w.row // 2, width=w.width // 2 + 1, height=w.height // 2 + 1
-        )
-        added = self._blend.correction(half, base, own)
-        rows = np.arange(w.row, w.row + w.height) // 2 - half.row
-        cols = np.arange(w.col, w.col + w.width) // 2 - half.col
-        return w, mean, mean + _means(added[rows[:, None], cols[None, :]], valid)
-
-
-def _means(data: Values, valid: Values) -> Values:
-    """Means over squares of valid pixels; NaN where less than half of a square is."""
-    total = cv2.blur(data * valid[..., None], (SIDE, SIDE)).reshape(data.shape)
-    share = cv2.blur(valid, (SIDE, SIDE))
-    out: Values = np.asarray(total / np.maximum(share, 1e-6)[..., None], dtype=np.float32)
-    out[share < 0.5] = np.nan
-    return out
-
-
 def measure_steps(
     source: ProxySource,
     labels: SparseRaster,
@@ -140,16 +87,60 @@ def measure_steps(
 ) -> SeamSteps:
     """Compare the photos on both sides of every seam; `check` may raise to stop."""
     places = seam_places(labels)
-    means = _Means(source, blend)
-    between = np.full((len(places), bands), np.nan, np.float32)
-    left = between.copy()
-    pair = places.a * (1 << 32) + places.b
-    starts = np.flatnonzero(np.diff(pair, prepend=-1))
-    for first, last in pairwise([*starts, len(places)]):
+    photo = np.concatenate([places.a, places.b])
+    means = np.full((2, photo.size, bands), np.nan, np.float32)
+    # photo by photo: each is loaded once
+    order = np.argsort(photo, kind="stable")
+    for here in np.split(order, np.flatnonzero(np.diff(photo[order])) + 1):
         check()
-        here = slice(int(first), int(last))
-        col, row = places.col[here], places.row[here]
-        a = means.at(int(places.a[first]), col, row)
-        b = means.at(int(places.b[first]), col, row)
-        between[here], left[here] = a[0] - b[0], a[1] - b[1]
-    return SeamSteps(places=places, between=between, left=left)
+        if here.size:
+            at = here % len(places)
+            label = int(photo[here[0]])
+            means[:, here] = _means(source, blend, label, places.col[at], places.row[at])
+    a, b = means[:, : len(places)], means[:, len(places) :]
+    return SeamSteps(places=places, between=a[0] - b[0], left=a[1] - b[1])
+
+
+def _means(
+    source: ProxySource, blend: LowBlend | None, label: int, col: Indices, row: Indices
+) -> Values:
+    """Means about places of a photo and the same in the result; (2, k, bands), NaN if unknown.
+
+    Unknown is what the photo shows less than half of.
+    """
+    proxy = source.load(label)
+    window = proxy.window
+    cols, inside = _around(col - window.col, window.width)
+    rows, within = _around(row - window.row, window.height)
+    rows, cols = rows[:, :, None], cols[:, None, :]
+    valid = proxy.valid[rows, cols]
+    data = np.where(valid[..., None], proxy.data[rows, cols], np.float32(0.0))
+    count = np.count_nonzero(valid, axis=(1, 2))
+    mean = data.sum(axis=(1, 2), dtype=np.float64) / np.maximum(count, 1)[:, None]
+    mean[~(inside & within & (2 * count >= SIDE * SIDE))] = np.nan
+    if blend is None:
+        return np.stack([mean, mean])
+    added = _added(blend, label, window.col + cols, window.row + rows)
+    added = np.where(valid[..., None], added, np.float32(0.0)).sum(axis=(1, 2), dtype=np.float64)
+    return np.stack([mean, mean + added / np.maximum(count, 1)[:, None]])
+
+
+def _around(place: Indices, size: int) -> tuple[Indices, NDArray[np.bool_]]:
+    """Places about each along one axis, mirrored at the ends, and which lie inside at all.
+
+    Shapes (k, SIDE) and (k,).
+    """
+    near = np.abs(place[:, None] + np.arange(SIDE) - SIDE // 2)
+    near = np.clip(np.minimum(near, 2 * (size - 1) - near), 0, size - 1)
+    return near, (place >= 0) & (place < size)
+
+
+def _added(blend: LowBlend, label: int, cols: Indices, rows: Indices) -> Values:
+    """What the blend adds to a photo at places of the coarse grid; (..., bands)."""
+    cols, rows = cols // 2, rows // 2
+    left, top = int(cols.min()), int(rows.min())
+    half = Window(
+        col=left, row=top, width=int(cols.max()) + 1 - left, height=int(rows.max()) + 1 - top
+    )
+    added = blend.correction(half, *blend.own.of(label))
+    return added[rows - top, cols - left]

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -17,20 +14,19 @@ from georef_gis.errors import InputError
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.mesh import Ground
 from georef_gis.model.plan import TileTask
+from georef_gis.mosaic.byte_cache import ByteCache
+from georef_gis.mosaic.canvas import Canvas, shows_any
 from georef_gis.mosaic.coarse import ProxySource
-from georef_gis.mosaic.colour_field import Knots, Lattice, gain_at, value_range
-from georef_gis.mosaic.low_blend import LowBlend, low_of
+from georef_gis.mosaic.colour_field import Lattice, PhotoTint, Tint, gain_over
+from georef_gis.mosaic.low_blend import LowBlend
 from georef_gis.mosaic.nadir import MosaicSource
 from georef_gis.mosaic.proxies import PhotoColour
-from georef_gis.mosaic.seam_mismatch import MismatchProbe, grey
-from georef_gis.mosaic.tile_layer import Layer, Paint, TileGround
-from georef_gis.rasters.warp import Image, Key, Mask, blocks
+from georef_gis.mosaic.tile_layer import Layer, TileGround, box_of
+from georef_gis.rasters.warp import Image, Key, Mask
 
 Values = NDArray[np.float32]
-# reads a photo, once it is sure to be needed
-Painter = Callable[[], Paint | None]
-# photos whose low frequencies are kept
-KEPT = 24
+# bytes; what the colours of photos may take
+TINT_BYTES = 64_000_000
 
 
 class Seams(Protocol):
@@ -89,8 +85,6 @@ class SeamMosaic:
         `read(path, reduce) -> image` (rows, cols, bands), as a rule from a cache.
     broken
         Takes the errors of photos that could not be read: others fill their cells.
-    probe
-        Measures how photos meet at the seams, while they are at hand.
     """
 
     def __init__(
@@ -103,17 +97,14 @@ class SeamMosaic:
         field: ColourField | None,
         read: Callable[[Path, int], Image],
         broken: list[str],
-        probe: MismatchProbe | None = None,
     ) -> None:
-        self._probe = probe
         self._sources = tuple(sources)
         self._label = {source.photo.id: k for k, source in enumerate(self._sources)}
         self._ground, self._grid = ground, grid
         self._seams, self._field = seams, field
         self._read, self._broken = read, broken
         self._lost: set[int] = set()
-        self._bases: OrderedDict[int, tuple[Values, Window]] = OrderedDict()
-        self._lock = threading.Lock()
+        self._tints = ByteCache(self._tint, budget=TINT_BYTES)
 
     def tile(self, task: TileTask) -> tuple[Image, Mask | None] | None:
         """Pixels (rows, cols, bands) and mask of one tile; None where no photo shows it."""
@@ -128,49 +119,44 @@ class SeamMosaic:
         """Pixels (rows, cols, bands) and mask of a sketched tile; None where no photo shows it."""
         window = sketch.task.window
         weights = {k: w for k, w in self._seams.weights(window).items() if k not in self._lost}
-        ground = self._tile_ground(window)
-        tile = _Tile(window)
+        ground = TileGround(self._ground, self._grid, window)
+        canvas = Canvas(window)
         for label, weight in sorted(weights.items()):
-            layer = Layer.of(self._sources[label], ground)
-            if layer is not None:
-                tile.take(layer, weight, partial(self._paint, label, layer, ground))
-        if not tile.whole:
-            self._fill(tile, sketch.task, ground, set(weights))
-        if self._probe is not None and len(weights) > 1:
-            self._probe.measure(window, self._square)
-        return tile.result()
+            self._add(canvas, ground, label, weight)
+        self._fill(canvas, sketch.task, ground, set(weights))
+        return canvas.result()
 
-    def _square(self, label: int, window: Window) -> Values | None:
-        """Grey values of a photo over a square; None where it does not show all of it."""
-        tile = TileGround(self._ground, self._grid, window, Lattice.around(window, 16), knots=None)
-        source = self._sources[label]
-        layer = None if label in self._lost else Layer.of(source, tile)
+    def _add(
+        self,
+        canvas: Canvas,
+        ground: TileGround,
+        label: int,
+        weight: Values | None,
+        *,
+        at_hand: bool = True,
+    ) -> None:
+        """Add a photo to a tile where it has weight, and shows the ground.
+
+        One that is not `at_hand` is read only if it shows some of that.
+        """
+        box = None if weight is None else box_of(weight)
+        if weight is not None and box is None:
+            return
+        layer = Layer.of(self._sources[label], ground, box)
         if layer is None:
-            return None
-        whole = (slice(0, window.height), slice(0, window.width))
-        mesh = (slice(None), slice(None))
-        uv = layer.uv(whole, mesh, (window.height, window.width))
-        if layer.inside(uv, mesh) is not None:
-            return None
-        paint = self._paint(label, layer, tile)
-        if paint is None:
-            return None
-        image = paint.image
-        out = np.empty((window.height, window.width, image.shape[2]), image.dtype)
-        paint.values(uv, whole, out)
-        # sensors fill 10 to 14 of 16 bits
-        whole_range = image.dtype == np.uint8
-        scale = 255.0 if whole_range else float(np.max(np.abs(out), initial=1e-6))
-        return grey(out, scale)
+            return
+        if weight is not None and not at_hand:
+            if not shows_any(canvas.window, layer.at, weight, layer.relief):
+                return
+        image = self._image(label)
+        if image is not None:
+            tint = self._tint_over(canvas.window, label, image.shape[2])
+            canvas.add(image, layer.at, tint, weight=weight, relief=layer.relief)
 
-    def _tile_ground(self, window: Window) -> TileGround:
-        field = self._field
-        lattice = Lattice.around(window, field.factor if field is not None else 16)
-        knots = None if field is None else Knots.under(lattice, self._ground, self._grid)
-        return TileGround(self._ground, self._grid, window, lattice, knots)
-
-    def _fill(self, tile: _Tile, task: TileTask, ground: TileGround, done: set[int]) -> None:
+    def _fill(self, canvas: Canvas, task: TileTask, ground: TileGround, done: set[int]) -> None:
         """Ground that no cell covers, or whose photo ends before its cell, from the nearest."""
+        if canvas.whole:
+            return
         others = [self._label[i] for i in task.photo_ids if i in self._label]
         others = [k for k in others if k not in done and k not in self._lost]
         w = task.window
@@ -182,151 +168,54 @@ class SeamMosaic:
             d = float(np.hypot(*(p - source.photo.pose.origin_enu)[:2]))
             return d + 10.0 * source.reach * source.doubtful
 
+        holes = ground.holes(canvas.weight == 0.0)
         # a cell's own photos first: they are at hand
         for label in [*sorted(done), *sorted(others, key=away)]:
-            if tile.whole:
+            if canvas.whole:
                 return
-            if label not in self._lost:
-                layer = Layer.of(self._sources[label], ground)
-                if layer is not None:
-                    tile.fill(layer, partial(self._paint, label, layer, ground))
+            box = None if label in self._lost else holes.box(self._sources[label])
+            if box is None:
+                continue
+            self._add(canvas, ground, label, canvas.holes(box), at_hand=label in done)
 
     def _key(self, label: int) -> Key:
         source = self._sources[label]
         return source.photo.photo.path, source.reduce
 
-    def _paint(self, label: int, layer: Layer, ground: TileGround) -> Paint | None:
-        """Pixels of a layer with their colours; None where the photo cannot be read."""
+    def _image(self, label: int) -> Image | None:
+        """Pixels of a photo; None where it cannot be read."""
         try:
-            image = self._read(*self._key(label))
+            return self._read(*self._key(label))
         except InputError as error:
             self._lost.add(label)
             self._broken.append(str(error))
             return None
-        field, lattice = self._field, ground.lattice
-        if field is None or ground.knots is None or layer.knots_uv is None:
-            return Paint(layer, image, lattice, None, None)
+
+    def _tint_over(self, window: Window, label: int, bands: int) -> Tint:
+        """What is done to a photo's grey values over a window."""
+        field = self._field
+        if field is None:
+            return Tint.none(Lattice.around(window, 1), bands)
+        return self._tints(label).over(Lattice.around(window, field.factor), field.blend)
+
+    def _tint(self, label: int) -> PhotoTint:
+        """What is done to a photo's grey values."""
+        field = self._field
+        if field is None:
+            raise ValueError("colours stay as they are")
+        coarse, factor = field.proxies.windows[label], field.factor
+        window = Window(
+            col=coarse.col * factor, row=coarse.row * factor,
+            width=coarse.width * factor, height=coarse.height * factor,
+        )  # fmt: skip
+        lattice = Lattice.around(window, factor)
         photo = self._sources[label].photo
-        gain = gain_at(photo, field.colour, label, ground.knots, layer.knots_uv)
-        add = np.broadcast_to(field.colour.offset(label).astype(np.float32), gain.shape)
+        gain = gain_over(photo, field.colour, label, lattice, self._ground, self._grid)
+        offset = field.colour.offset(label).astype(np.float32)
+        base = own = None
         if field.blend is not None:
-            base, own = self._base(label, field)
-            add = add + field.blend.correction(lattice.half, base, own)
-        return Paint(layer, image, lattice, gain, np.ascontiguousarray(add, dtype=np.float32))
-
-    def _base(self, label: int, field: ColourField) -> tuple[Values, Window]:
-        """Low frequencies of a photo; kept for the next tiles."""
-        with self._lock:
-            found = self._bases.get(label)
-            if found is not None:
-                self._bases.move_to_end(label)
-                return found
-        proxy = field.proxies.load(label)
-        found = low_of(proxy.data, proxy.valid, proxy.window)
-        with self._lock:
-            self._bases[label] = found
-            while len(self._bases) > KEPT:
-                self._bases.popitem(last=False)
-        return found
-
-
-class _Tile:
-    """A tile in the making, block by block: most blocks show one photo alone."""
-
-    def __init__(self, window: Window) -> None:
-        self.window = window
-        shape = (window.height, window.width)
-        self._sum: Values = np.zeros((0, 0, 0), np.float32)
-        self._weight = np.zeros(shape, np.float32)
-        self._out: Image | None = None
-        self._plain = np.zeros(shape, np.bool_)
-        # blocks that more than one photo, or part of one, makes up
-        self._mixed: dict[tuple[int, int], tuple[slice, slice]] = {}
-
-    @property
-    def whole(self) -> bool:
-        """Whether every pixel has a value."""
-        return bool(np.all(self._plain | (self._weight > 0.0)))
-
-    def take(self, layer: Layer, weight: Values | None, paint: Painter) -> None:
-        """Add a photo where its cell gives it weight, and it shows the ground."""
-        ready: Paint | None = None
-        for pixels, nodes in blocks(self.window, layer.source.step):
-            part = None if weight is None else weight[pixels]
-            if (part is not None and not part.any()) or layer.outside(nodes):
-                continue
-            size = self._weight[pixels].shape
-            uv = layer.uv(pixels, nodes, size)
-            inside = layer.inside(uv, nodes)
-            if inside is not None and not inside.any():
-                continue
-            ready = ready or paint()
-            if ready is None:
-                return
-            if inside is None and (part is None or part.min() >= 1.0):
-                ready.values(uv, pixels, self._ready(ready)[pixels])
-                self._plain[pixels] = True
-                continue
-            own = np.ones(size, np.float32) if part is None else part
-            if inside is not None:
-                own = np.where(inside, own, np.float32(0.0))
-            self._add(ready, uv, pixels, own)
-
-    def fill(self, layer: Layer, paint: Painter) -> None:
-        """Add a photo where nothing is yet; it is read only if it shows some of that."""
-        ready: Paint | None = None
-        for pixels, nodes in blocks(self.window, layer.source.step):
-            own = ~(self._plain[pixels] | (self._weight[pixels] > 0.0))
-            if not own.any() or layer.outside(nodes):
-                continue
-            uv = layer.uv(pixels, nodes, own.shape)
-            inside = layer.inside(uv, nodes)
-            own = own if inside is None else own & inside
-            if not own.any():
-                continue
-            ready = ready or paint()
-            if ready is None:
-                return
-            self._add(ready, uv, pixels, own.astype(np.float32))
-
-    def _ready(self, paint: Paint) -> Image:
-        if self._out is None:
-            shape = (self.window.height, self.window.width, paint.image.shape[2])
-            self._out = np.zeros(shape, dtype=paint.image.dtype)
-        return self._out
-
-    def _add(self, paint: Paint, uv: Values, pixels: tuple[slice, slice], weight: Values) -> None:
-        out = self._ready(paint)
-        if not self._sum.size:
-            self._sum = np.zeros(out.shape, np.float32)
-        value = np.empty(out[pixels].shape, np.float32)
-        paint.values(uv, pixels, value)
-        if paint.image.dtype.kind == "f":
-            known = np.isfinite(value).all(axis=2)
-            weight = np.where(known, weight, np.float32(0.0))
-            value[~known] = 0.0
-        self._sum[pixels] += value * weight[..., None]
-        self._weight[pixels] += weight
-        self._mixed[pixels[0].start, pixels[1].start] = pixels
-
-    def _settle(self, pixels: tuple[slice, slice], out: Image) -> None:
-        """Weighted means of a block into the tile."""
-        weight = self._weight[pixels]
-        mean = self._sum[pixels] / np.maximum(weight, np.float32(1e-12))[..., None]
-        low, high = value_range(out.dtype)
-        if np.isfinite(high):
-            mean = np.floor(np.clip(mean + np.float32(0.5), low, high))
-        keep = (weight > 0.0) & ~self._plain[pixels]
-        np.copyto(out[pixels], mean, where=keep[..., None], casting="unsafe")
-
-    def result(self) -> tuple[Image, Mask | None] | None:
-        """Pixels and mask; None where there is nothing."""
-        out = self._out
-        if out is None:
-            return None
-        for pixels in self._mixed.values():
-            self._settle(pixels, out)
-        mask = self._plain | (self._weight > 0.0)
-        if not mask.any():
-            return None
-        return (out, None) if mask.all() else (out, mask)
+            base, own = field.blend.own.of(label)
+        return PhotoTint(
+            half=lattice.half, gain=gain, offset=offset, base=base, base_half=own,
+            knee=field.colour.knee,
+        )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,8 +13,9 @@ from georef_gis.rasters.pyramid import Level
 # level, row, col
 Place = tuple[int, int, int]
 # Kinds of records: a tile is stored; its half waits; a tile of level 0 is empty; no more tiles
-# come; a tile and all below it are damaged and have to be made again.
-TILE, HALF, EMPTY, CLOSED, LOST = "t", "h", "e", "c", "l"
+# come; a tile and all below it are damaged and have to be made again; what is to be known of a
+# tile of level 0; such a tile is not for a later run.
+TILE, HALF, EMPTY, CLOSED, LOST, NOTE, PROVISIONAL = "t", "h", "e", "c", "l", "n", "p"
 Record = Sequence[Any]
 
 _STORED = np.dtype(
@@ -35,6 +36,12 @@ def tile_record(place: Place, start: int, sizes: tuple[int, int], sums: tuple[in
     return [TILE, *place, start, *sizes, *sums]
 
 
+def remarks(row: int, col: int, note: Any, *, provisional: bool) -> list[Record]:
+    """What is told of a tile of level 0 beside where it lies; a `note` of None is none."""
+    told: list[Record] = [] if note is None else [[NOTE, row, col, note]]
+    return [*told, [PROVISIONAL, row, col]] if provisional else told
+
+
 def half_record(place: Place, half: HalfPlace) -> Record:
     """The half of a tile waits for its neighbours."""
     return [HALF, *place, *half]
@@ -51,12 +58,18 @@ class Ledger:
         Where each tile lies and its checksum; `image` is 0 where there is none.
     halves
         Halves that were written, by the tile they were made of.
+    notes
+        What is to be known of tiles of the full resolution, by row and column.
+    provisional : shape (rows, cols)
+        Tiles of the full resolution that a later run has to make again.
     """
 
     def __init__(self, levels: Sequence[Level]) -> None:
         self.stored: list[NDArray[Any]] = [np.zeros((at.down, at.across), _STORED) for at in levels]
         self.resolved: NDArray[np.bool_] = np.zeros(self.stored[0].shape, np.bool_)
         self.halves: dict[Place, HalfPlace] = {}
+        self.notes: dict[tuple[int, int], Any] = {}
+        self.provisional: NDArray[np.bool_] = np.zeros_like(self.resolved)
 
     def apply(self, records: Sequence[Record]) -> None:
         """Take over one entry of the journal."""
@@ -78,6 +91,10 @@ class Ledger:
                 self.resolved[:] = True
             elif kind == LOST:
                 self.lose((values[0], values[1], values[2]))
+            elif kind == NOTE:
+                self.notes[values[0], values[1]] = values[2]
+            elif kind == PROVISIONAL:
+                self.provisional[values[0], values[1]] = True
 
     def has(self, place: Place) -> bool:
         """Whether a tile is stored."""
@@ -95,8 +112,21 @@ class Ledger:
                 self.halves.pop((level, row * side + int(down), col * side + int(right)), None)
             if level == 0:
                 # empty ones stay as they are
-                self.resolved[part] &= tiles["image"] == 0
+                self.resolved[part] &= (tiles["image"] == 0) & ~self.provisional[part]
+                self.provisional[part] = False
+                for at in [at for at in self.notes if (at[0] >> top, at[1] >> top) == (row, col)]:
+                    del self.notes[at]
             tiles[:] = 0
+
+    def lose_provisional(self) -> Iterator[Place]:
+        """Drop the provisional tiles with all overviews of them, which are given."""
+        for row, col in np.argwhere(self.provisional).tolist():
+            # an overview that was dropped may have taken it along
+            if self.provisional[row, col]:
+                above = [(n, row >> n, col >> n) for n in range(len(self.stored))]
+                place = max(filter(self.has, above), default=above[0])
+                self.lose(place)
+                yield place
 
     def waiting(self, level: int) -> list[tuple[Place, HalfPlace | None]]:
         """Tiles of a level whose overview tile is not made yet, with their halves if known."""

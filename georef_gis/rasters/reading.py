@@ -138,7 +138,9 @@ def read_grid(
     return RasterGrid(values=values, transform=shifted, header=header)
 
 
-def read_image(path: str | os.PathLike[str], *, reduce: int = 1) -> NDArray[Any]:
+def read_image(
+    path: str | os.PathLike[str], *, reduce: int = 1, alpha: bool = True
+) -> NDArray[Any]:
     """Photo as stored: EXIF Orientation is not applied.
 
     Parameters
@@ -148,6 +150,8 @@ def read_image(path: str | os.PathLike[str], *, reduce: int = 1) -> NDArray[Any]
     reduce
         1, 2, 4 or 8: side of the square of pixels averaged into one, the last ones
         maybe cut by the edge; ``uv' = (uv + 0.5) / reduce - 0.5``.
+    alpha
+        Whether an alpha channel counts as a band; else it is left out.
 
     Returns
     -------
@@ -167,11 +171,11 @@ def read_image(path: str | os.PathLike[str], *, reduce: int = 1) -> NDArray[Any]
             f"cannot be read ({error.strerror}); check the path", source=_name(path)
         ) from error
     if raw[:4] in _TIFF_MAGIC:
-        return _reduced(_tiff(path), reduce)
-    return decode_image(raw, _name(path), reduce=reduce)
+        return _reduced(_tiff(path, alpha=alpha), reduce)
+    return decode_image(raw, _name(path), reduce=reduce, alpha=alpha)
 
 
-def decode_image(raw: bytes, name: str, *, reduce: int = 1) -> NDArray[Any]:
+def decode_image(raw: bytes, name: str, *, reduce: int = 1, alpha: bool = True) -> NDArray[Any]:
     """Photo from the bytes of its file, as `read_image` gives it; `name` is for messages.
 
     Raises
@@ -181,11 +185,14 @@ def decode_image(raw: bytes, name: str, *, reduce: int = 1) -> NDArray[Any]:
     """
     _check_reduce(reduce)
     if raw[:4] in _TIFF_MAGIC:
-        return _reduced(_tiff(io.BytesIO(raw), name), reduce)
+        return _reduced(_tiff(io.BytesIO(raw), name, alpha=alpha), reduce)
     if raw.startswith(_JPEG_MAGIC):
         return _jpeg(raw, name, reduce)
     # such as PNG; UNCHANGED keeps alpha and 16 bits
-    return _reduced(_decoded(raw, cv2.IMREAD_UNCHANGED, name), reduce)
+    image = _decoded(raw, cv2.IMREAD_UNCHANGED, name)
+    if not alpha and image.shape[2] == 4:
+        image = np.ascontiguousarray(image[..., :3])
+    return _reduced(image, reduce)
 
 
 def _check_reduce(reduce: int) -> None:
@@ -255,9 +262,13 @@ def _decoded(raw: bytes, flags: int, name: str, *, swap: bool = False) -> NDArra
     return image
 
 
-def _tiff(source: str | os.PathLike[str] | io.BytesIO, name: str = "") -> NDArray[Any]:
+def _tiff(
+    source: str | os.PathLike[str] | io.BytesIO, name: str = "", *, alpha: bool
+) -> NDArray[Any]:
     with _dataset(source, name) as dataset:
-        return np.ascontiguousarray(np.moveaxis(dataset.read(), 0, 2))
+        kinds = zip(dataset.indexes, dataset.colorinterp, strict=True)
+        bands = [index for index, kind in kinds if alpha or kind.name != "alpha"]
+        return np.ascontiguousarray(np.moveaxis(dataset.read(bands), 0, 2))
 
 
 def _reduced(image: NDArray[Any], reduce: int) -> NDArray[Any]:

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -232,10 +233,10 @@ def warp_window(
         Where the photo shows the ground; None = everywhere.
         The pair is None where the photo does not reach the window.
     """
-    p_enu = ground.enu_at(grid, node_positions(window, step))
+    mesh = ground_mesh(ground, grid, window, step)
+    p_enu, delta = mesh.p_enu, mesh.delta
     nodes = photo.project(p_enu)
     width, height = photo.camera.width, photo.camera.height
-    delta = relief(ground, grid, window, step)
     moves = None if delta is None else parallax(photo, p_enu)
     slack = largest_move(delta, moves)
     if all_outside(nodes, width, height, slack):
@@ -310,22 +311,46 @@ def all_outside(uv: Array, width: int, height: int, slack: float = 0.0) -> bool:
     )
 
 
-def relief(ground: Ground, grid: Grid, window: Window, step: int) -> NDArray[np.float32] | None:
-    """Height of the ground above the mesh between its nodes, m; (rows, cols), None if flat.
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundMesh:
+    """Ground at the nodes of a mesh (see `node_positions`), and what relief the mesh leaves out.
 
-    NaN where the DEM has none.
+    Parameters
+    ----------
+    p_enu : shape (node rows, node cols, 3), m
+    delta : shape (rows, cols), m
+        Height of the ground above the mesh at every pixel; NaN where the DEM has none; None if
+        there is no relief.
     """
-    if not ground.has_relief or not isinstance(ground.terrain, DemTerrain):
-        return None
-    dem = ground.terrain
+
+    p_enu: Array
+    delta: NDArray[np.float32] | None
+
+
+def ground_mesh(ground: Ground, grid: Grid, window: Window, step: int) -> GroundMesh:
+    """Ground under a window by a mesh of cells of `step` px."""
     xy = grid.map_from_grid(node_positions(window, step))
-    nodes = ground.heights_at(xy)
+    terrain = ground.terrain
+    if not ground.has_relief or not isinstance(terrain, DemTerrain):
+        return GroundMesh(_on_ground(ground, xy, ground.heights_at(xy)), None)
+    at = ground.dem_position(xy)
+    nodes = terrain.height_at(at)
+    delta = _relief(terrain, at, nodes, step, (window.height, window.width))
+    return GroundMesh(_on_ground(ground, xy, nodes), delta)
+
+
+def _on_ground(ground: Ground, xy: Array, heights: Array) -> Array:
+    return ground.local.enu_from_map(np.concatenate([xy, heights[..., None]], axis=-1))
+
+
+def _relief(
+    dem: DemTerrain, at: Array, nodes: Array, step: int, shape: tuple[int, int]
+) -> NDArray[np.float32] | None:
+    """Height of a DEM, m, above the mesh of its heights `nodes` at its cells `at`."""
     if not np.any(np.isfinite(nodes)):
         return None
     # Relative to a level nearby: float32 resolves 1e-5 m then.
     level = float(np.nanmean(nodes))
-    shape = (window.height, window.width)
-    at = ground.dem_position(xy)
     rows, cols = dem.heights.shape
     low = np.clip(np.floor(at.reshape(-1, 2).min(axis=0)) - 1, 0, [cols - 1, rows - 1]).astype(int)
     high = np.clip(np.ceil(at.reshape(-1, 2).max(axis=0)) + 2, low + 1, [cols, rows]).astype(int)
@@ -350,7 +375,7 @@ def positions(
     nodes, moves : shape (node rows, node cols, 2)
         Pixel at the nodes of the mesh, px, and how far it moves per metre of height, px/m.
     delta : shape (rows, cols)
-        Height that the mesh leaves out, m (see `relief`).
+        Height that the mesh leaves out, m (see `ground_mesh`).
     """
     uv = upsample(nodes, step, shape)
     if delta is None or moves is None:

@@ -124,6 +124,8 @@ class WorkFolder:
         lost = [*_damaged_tiles(self.ledger, spools)]
         for place in lost:
             self.ledger.lose(place)
+        provisional = int(np.count_nonzero(self.ledger.provisional))
+        again = [*self.ledger.lose_provisional()]
         kept: dict[Place, Kept] = {}
         for level in range(len(spools) - 2, -1, -1):
             for place, half in self.ledger.waiting(level):
@@ -134,8 +136,8 @@ class WorkFolder:
                 else:
                     lost.append(place)
                     self.ledger.lose(place)
-        if lost:
-            self.commit([[LOST, *place] for place in lost])
+        if lost or again:
+            self.commit([[LOST, *place] for place in [*lost, *again]])
         for spool, tiles in zip(spools, self.ledger.stored, strict=True):
             spool.restore(*(tiles[name].reshape(-1) for name in ("start", "image", "mask")))
             spool.partial = bool(tiles["partial"].any())
@@ -143,9 +145,9 @@ class WorkFolder:
         overviews.restore(self.ledger, kept)
         # slots that are free now may be written over: this must not undo what frees them
         self._journal.sync()
-        return self._resumption(len(lost))
+        return self._resumption(len(lost), provisional)
 
-    def _resumption(self, lost: int) -> Resumption:
+    def _resumption(self, lost: int, provisional: int) -> Resumption:
         tiles = int(np.count_nonzero(self.ledger.stored[0]["image"]))
         self.ledger.stored.clear()
         self.ledger.halves.clear()
@@ -154,6 +156,9 @@ class WorkFolder:
             note = f"{lost} kept tiles in {self.folder} were damaged and are made again"
         elif self._journal.cut > 1 and not note:
             note = f"the journal in {self.folder} was damaged; work after that place is done again"
+        elif provisional:
+            why = "were made without all their photos and are made again"
+            note = f"{provisional} kept tiles in {self.folder} {why}"
         return Resumption(tiles=tiles, lost=lost, note=note)
 
     def _replay(self, head: list[Any]) -> str:

@@ -23,7 +23,7 @@ from georef_gis.errors import ExportError
 from georef_gis.rasters import files
 from georef_gis.rasters.directories import cog_head
 from georef_gis.rasters.geokeys import geo_tags
-from georef_gis.rasters.ledger import Place
+from georef_gis.rasters.ledger import Place, remarks
 from georef_gis.rasters.profile import RasterProfile
 from georef_gis.rasters.pyramid import Tile, levels
 from georef_gis.rasters.pyramid_builder import PyramidBuilder, Step
@@ -69,6 +69,8 @@ class TiledWriter:
         Tiles an earlier run has finished, empty ones included; they must not be written again.
     resumption
         How much that was, and whether something of it was of no use.
+    notes
+        What an earlier run noted of tiles that are done, by row and column.
 
     Raises
     ------
@@ -101,6 +103,7 @@ class TiledWriter:
         self._geo = geo_tags(profile)
         self._lock = threading.Lock()
         self.resumption = Resumption()
+        self.notes: dict[tuple[int, int], Any] = {}
         self._work = work
         self._seen = np.zeros((self.levels[0].down, self.levels[0].across), np.bool_)
         self._futures: set[Future[None]] = set()
@@ -130,6 +133,7 @@ class TiledWriter:
         if kept is not None:
             self.resumption = self._builder.recover(kept)
             self._seen[:] = kept.ledger.resolved
+            self.notes = kept.ledger.notes
 
     def __enter__(self) -> Self:
         """Start writing."""
@@ -163,7 +167,14 @@ class TiledWriter:
         return self.levels[0].shape(row, col)
 
     def write_tile(
-        self, row: int, col: int, data: NDArray[Any], mask: NDArray[Any] | None = None
+        self,
+        row: int,
+        col: int,
+        data: NDArray[Any],
+        mask: NDArray[Any] | None = None,
+        *,
+        note: Any = None,
+        provisional: bool = False,
     ) -> None:
         """Write one tile of the full resolution, once.
 
@@ -175,6 +186,10 @@ class TiledWriter:
             Samples, RGB order; a whole tile, or cropped at the right or bottom edge.
         mask : shape (rows, cols)
             Not 0 = valid; None = valid everywhere (with nodata: where data differ from it).
+        note
+            What a later writer that goes on is to know of the tile (`notes`); anything JSON holds.
+        provisional
+            The tile is good for this file only: a later writer that goes on makes it again.
 
         Raises
         ------
@@ -185,13 +200,18 @@ class TiledWriter:
         """
         tile = self._checked(row, col, data, mask)
         self._claim(row, col)
-        self._submit((0, row, col), tile)
+        step = Step(records=remarks(row, col, note, provisional=provisional))
+        self._submit((0, row, col), tile, step)
 
-    def skip_tile(self, row: int, col: int) -> None:
-        """Declare a tile empty, so that overviews above it need not wait until the end."""
+    def skip_tile(self, row: int, col: int, *, provisional: bool = False) -> None:
+        """Declare a tile empty, so that overviews above it need not wait until the end.
+
+        A `provisional` one is empty in this file only, as of `write_tile`.
+        """
         self._check_index(row, col)
         self._claim(row, col)
-        self._guarded(self._builder.finish, (0, row, col), None)
+        step = Step(records=remarks(row, col, None, provisional=provisional))
+        self._guarded(self._builder.finish, (0, row, col), None, step)
 
     def close(self) -> None:
         """Finish the overviews and put the file in its place."""

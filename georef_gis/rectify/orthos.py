@@ -9,7 +9,8 @@ from pathlib import Path
 from georef_gis.errors import Cancelled
 from georef_gis.model.grid import Grid, Window
 from georef_gis.model.layers import Footprint, Ortho
-from georef_gis.model.mesh import Ground, choose_step
+from georef_gis.model.mesh import Ground
+from georef_gis.model.mesh_step import choose_step
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.plan import plan_tiles
 from georef_gis.rasters.profile import RasterProfile

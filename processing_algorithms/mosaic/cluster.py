@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from georef_gis.model.plan import Plan
     from georef_gis.mosaic.job import MosaicJob, PhotoRoot, RenderedTile
     from georef_gis.rasters.warp import ImageCache
-    from georef_gis.rasters.writer import TiledWriter
+    from processing_algorithms.mosaic.tiles import TileSink
 
 # s; a scheduler answers within, and its first worker appears
 REACHED = 10.0
@@ -156,14 +156,13 @@ def render_on_cluster(
     job: MosaicJob,
     plan: Plan,
     cache: ImageCache,
-    writer: TiledWriter,
+    sink: TileSink,
     feedback: Feedback,
     broken: list[str],
-) -> int:
-    """Render the tiles by workers; number of valid pixels.
+) -> None:
+    """Render the tiles by workers, to the pixels of `render_tiles`.
 
-    The pixels are those of `render_tiles`. This process writes them as they come. A tile whose
-    worker dies is made by another.
+    This process writes them as they come. A tile whose worker dies is made by another.
 
     Parameters
     ----------
@@ -192,7 +191,7 @@ def render_on_cluster(
         for worker, refusal in opened.items():
             if isinstance(refusal, InputError):
                 raise _refused(cluster.name, f"{worker}: {refusal}")
-        return _Run(cluster, path, plan, writer, feedback).all(cache, broken)
+        _Run(cluster, path, plan, sink, feedback).all(cache, broken)
     except KilledWorker as error:
         raise _refused(
             cluster.name,
@@ -243,25 +242,25 @@ class _Run:
     """Tiles of one job under way on a cluster."""
 
     def __init__(
-        self, cluster: Cluster, path: Path, plan: Plan, writer: TiledWriter, feedback: Feedback
+        self, cluster: Cluster, path: Path, plan: Plan, sink: TileSink, feedback: Feedback
     ) -> None:
         self._cluster, self._client, self._path = cluster, cluster.client, path
-        self._plan, self._writer, self._feedback = plan, writer, feedback
+        self._plan, self._sink, self._feedback = plan, sink, feedback
         self._shares = Shares(range(len(plan.tiles)))
         self._under_way: dict[Future[RenderedTile], str] = {}
         self._finished: SimpleQueue[Future[RenderedTile]] = SimpleQueue()
         self._threads: Mapping[str, int] = {}
         self._looked = self._working = time.monotonic()
 
-    def all(self, cache: ImageCache, broken: list[str]) -> int:
-        """Make all tiles; number of valid pixels."""
-        valid, total = 0, len(self._plan.tiles)
+    def all(self, cache: ImageCache, broken: list[str]) -> None:
+        """Make all tiles."""
+        total = len(self._plan.tiles)
         decodes: dict[str, int] = {}
         try:
             self._look()
             while self._give_out() or self._under_way:
                 for tile in self._come_back():
-                    valid += self._write(tile)
+                    self._sink.take(self._plan.tiles[tile.number], tile)
                     broken += [message for message in tile.broken if message not in broken]
                     decodes[tile.worker] = max(tile.decodes, decodes.get(tile.worker, 0))
                 done = total - self._shares.left - len(self._under_way)
@@ -271,7 +270,6 @@ class _Run:
             if self._under_way:
                 self._client.cancel(list(self._under_way), force=True)
         cache.decodes += sum(decodes.values())
-        return valid
 
     def _look(self) -> None:
         """See who works; workers come and go."""
@@ -325,12 +323,3 @@ class _Run:
         for future in ready:
             del self._under_way[future]
         return list(tiles)
-
-    def _write(self, tile: RenderedTile) -> int:
-        """Write a tile; its valid pixels."""
-        if tile.pixels is None:
-            return 0
-        data, mask = tile.pixels
-        task = self._plan.tiles[tile.number]
-        self._writer.write_tile(task.row, task.col, data, mask)
-        return data.shape[0] * data.shape[1] if mask is None else int(mask.sum())

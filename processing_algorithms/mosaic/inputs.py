@@ -15,13 +15,15 @@ if TYPE_CHECKING:
     from georef_gis.model.grid import Grid
     from georef_gis.model.layers import Footprint
     from georef_gis.model.mesh import Ground
-    from georef_gis.model.photo import Photo
     from georef_gis.model.plan import Plan
     from georef_gis.mosaic.nadir import MosaicSource
     from georef_gis.project import Project
     from georef_gis.rasters.profile import RasterProfile
     from georef_gis.rasters.warp import ImageCache
     from processing_algorithms.site import Site
+
+# of the way photos are read: what was made from pixels read otherwise does not fit beside new ones
+READING = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,8 +34,8 @@ class Inputs:
     ----------
     kind
         Number and type of the bands.
-    refused
-        Messages of photos that are of another kind.
+    doubts
+        Messages of photos that are of another kind, and of alpha channels.
     capacity
         Photos that the cache of pixels holds.
     """
@@ -43,7 +45,7 @@ class Inputs:
     grid: Grid
     plan: Plan
     kind: tuple[int, str]
-    refused: tuple[str, ...]
+    doubts: tuple[str, ...]
     capacity: int
 
     @property
@@ -94,7 +96,7 @@ def gather(
         )
     return Inputs(
         site=site, footprints=kept, grid=grid, plan=plan, kind=kind,
-        refused=tuple(refused), capacity=capacity,
+        doubts=(*refused, *_alpha_doubts(site, usable)), capacity=capacity,
     )  # fmt: skip
 
 
@@ -105,29 +107,37 @@ def _largest_image(site: Site, names: Sequence[str]) -> int:
 
 
 def _same_kind(site: Site, names: list[str]) -> tuple[list[str], list[str]]:
-    """Photos with the most common number and depth of bands; others cannot be in one picture."""
+    """Photos with the most common number and type of bands; others cannot be in one picture."""
     from georef_gis.errors import GeometryError
+    from georef_gis.ingest.bands import band_type
 
-    kinds = {k: _stated_kind(site.photos[k].photo) for k in names}
+    photos = {k: site.photos[k].photo for k in names}
+    kinds = {k: f"{photo.bands} x {band_type(photo.tags)}" for k, photo in photos.items()}
     if not kinds:
         raise GeometryError("no photo has a footprint")
     most = Counter(kinds.values()).most_common(1)[0][0]
     refused = [
-        f"{site.photos[k].photo.path.name}: has bands x bits {own[0]} x {own[1]} where most photos "
-        f"have {most[0]} x {most[1]}: not in the mosaic; make it a mosaic of its own"
+        f"{photos[k].path.name}: has bands {own} where most photos have {most}: not in the mosaic; "
+        "make it a mosaic of its own"
         for k, own in kinds.items()
         if own != most
     ]
     return [k for k, own in kinds.items() if own == most], refused
 
 
-def _stated_kind(photo: Photo) -> tuple[int, int]:
-    """Number of bands and bits of each, as the tags say; a JPEG has 8."""
-    from georef_gis.ingest.tags import numbers
+def _alpha_doubts(site: Site, names: Sequence[str]) -> list[str]:
+    """One line on photos with an alpha channel, if there are any."""
+    from georef_gis.ingest.bands import alpha_count
 
-    bits = numbers(photo.tags, "EXIF:BitsPerSample")
-    tiff = photo.path.suffix.lower() in (".tif", ".tiff")
-    return photo.bands, int(bits[0]) if tiff and bits else 8
+    photos = [site.photos[name].photo for name in names]
+    found = [photo.path.name for photo in photos if alpha_count(photo.tags)]
+    if not found:
+        return []
+    more = f", as have {len(found) - 1} more photos" if len(found) > 1 else ""
+    return [
+        f"{found[0]}: has an alpha channel{more}: it is left out, and what it hides is shown; crop "
+        "that off, or if it is a band, write it as one (gdal_translate -co ALPHA=NO)"
+    ]
 
 
 def _kind_of(site: Site, cache: ImageCache, names: Sequence[str]) -> tuple[int, str]:
@@ -202,7 +212,8 @@ def fingerprint_of(
     known = {row["photo_id"]: row["fingerprint"] for row in project.database.rows("photo")}
     digest = hashlib.blake2b(digest_size=12)
     # what one version finished does not fit beside what another makes
-    digest.update(repr((georef_gis.__version__, np.__version__, cv2.__version__)).encode())
+    versions = (georef_gis.__version__, np.__version__, cv2.__version__, READING)
+    digest.update(repr(versions).encode())
     digest.update(repr((grid.transform, grid.width, grid.height, grid.crs_wkt)).encode())
     terrain = ground.terrain
     heights = getattr(terrain, "heights", None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,13 +12,11 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.model.plan import Plan
-    from georef_gis.mosaic.job import MosaicJob
-    from georef_gis.mosaic.seam_mismatch import MismatchProbe
-    from georef_gis.rasters.warp import Image, ImageCache
+    from georef_gis.rasters.warp import ImageCache
     from processing_algorithms.mosaic.cluster import Cluster
     from processing_algorithms.mosaic.inputs import Inputs
-    from processing_algorithms.mosaic.tiles import Renderer
+    from processing_algorithms.mosaic.ready import Ready
+    from processing_algorithms.mosaic.tiles import TileSink
 
 
 class MosaicParameters(p.Parameters):
@@ -94,9 +92,11 @@ class MosaicTool(Algorithm[MosaicParameters]):
 
     def run(self, context: Context, parameters: MosaicParameters, feedback: Feedback) -> Result:
         """Make it."""
+        from georef_gis.mosaic.job import read_photo
         from georef_gis.project.seam_layer import SEAMS_FILE
         from georef_gis.rasters.warp import ImageCache, one_thread_each
         from processing_algorithms.mosaic.inputs import gather
+        from processing_algorithms.mosaic.ready import made_ready
         from processing_algorithms.site import load_footprints, load_site
 
         project = context.require_project()
@@ -105,32 +105,28 @@ class MosaicTool(Algorithm[MosaicParameters]):
             return Result(summary={})
         site = load_site(project, quick=context.quick)
         footprints = {k: f for k, f in load_footprints(project).items() if k in site.photos}
-        cache = ImageCache()
+        cache = ImageCache(read=read_photo)
         inputs = gather(site, footprints, parameters.gsd or project.settings.products.gsd_m, cache)
         target = project.products / "mosaic.tif"
         # One thread a tile: OpenCV's own threads cost more than they gain on pieces this small.
         with one_thread_each(), _cluster(context, parameters) as cluster:
-            ready = _renderer(context, parameters, inputs, cache, feedback)
-            valid = _written(context, inputs, ready, cache, cluster, target, feedback)
-        doubts = list(dict.fromkeys([*inputs.refused, *ready.broken]))
-        for message in doubts:
+            ready = made_ready(context, parameters, inputs, feedback)
+            made = _written(context, inputs, ready, cache, cluster, target, feedback)
+        for message in made.doubts:
             feedback.warn(message)
-        told = dict(ready.told)
         facts = {"path": str(target), "gsd_m": inputs.gsd, "photos": list(inputs.footprints)}
-        mismatch = None if ready.probe is None or cluster is not None else ready.probe.result()
-        if mismatch is not None and mismatch.accepted:
-            facts["seam_mismatch"] = told["seam_mismatch"] = mismatch.as_json()
-        project.database.set_meta(mosaic=facts)
+        project.database.set_meta(mosaic=facts | made.told)
         summary = {
             "products": [str(target)],
             "gsd_m": inputs.gsd,
-            "covered_m2": valid * inputs.gsd**2,
+            "covered_m2": made.valid * inputs.gsd**2,
             "photos": len(inputs.footprints),
             "size_px": [inputs.grid.width, inputs.grid.height],
             "tiles": len(inputs.plan.tiles),
             "decodes_per_photo": round(cache.decodes / max(len(inputs.footprints), 1), 2),
-            **told,
-            "doubts": doubts,
+            **ready.told,
+            **made.told,
+            "doubts": made.doubts,
         }
         outputs = {"mosaic": target}
         if ready.told["seams"] != "none":
@@ -138,16 +134,25 @@ class MosaicTool(Algorithm[MosaicParameters]):
         return Result(outputs=outputs, summary=summary)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Written:
+    """What became of a mosaic: valid pixels, what is to be said of its photos, how seams meet."""
+
+    valid: int
+    doubts: list[str]
+    told: dict[str, Any]
+
+
 def _written(
     context: Context,
     inputs: Inputs,
-    ready: _Ready,
+    ready: Ready,
     cache: ImageCache,
     cluster: Cluster | None,
     target: Path,
     feedback: Feedback,
-) -> int:
-    """Write the mosaic, or go on writing it; number of valid pixels.
+) -> _Written:
+    """Write the mosaic, or go on writing it.
 
     Raises
     ------
@@ -160,43 +165,58 @@ def _written(
     from georef_gis.rasters.reading import count_valid
     from georef_gis.rasters.space import check_room
     from georef_gis.rasters.writer import TiledWriter
-    from processing_algorithms.mosaic.cluster import render_on_cluster
     from processing_algorithms.mosaic.inputs import mosaic_profile
-    from processing_algorithms.mosaic.tiles import render_tiles
+    from processing_algorithms.mosaic.tiles import TileSink
 
-    project, broken = context.require_project(), ready.broken
+    project, broken = context.require_project(), list(ready.broken)
     profile = mosaic_profile(project, inputs, feedback)
     work = project.cache / "mosaic" / "tiles"
     check_room(target, profile, len(ready.plan.tiles), work=work)
     with TiledWriter(target, profile, resume=ready.key, work=work) as writer:
         if writer.resumption.note:
             feedback.info(writer.resumption.note)
-        kept, plan = int(writer.done.sum()), ready.plan.without(writer.done)
-        if cluster is None:
-            workers = max(1, context.workers)
-            valid = render_tiles(ready.mosaic, plan, cache, writer, workers, feedback)
-        else:
-            valid = render_on_cluster(cluster, ready.job, plan, cache, writer, feedback, broken)
-        if not valid and not kept:
+        kept, sink = int(writer.done.sum()), TileSink(writer)
+        rest = replace(ready, plan=ready.plan.without(writer.done))
+        broken += _rendered(rest, cache, cluster, sink, context.workers, feedback)
+        if not sink.valid and not kept:
             raise GeometryError(broken[0] if broken else "no photo shows the ground")
-    if not kept:
-        return valid
-    feedback.info(f"{kept} tiles had been finished by an earlier run")
-    return count_valid(target)
+    if kept:
+        feedback.info(f"{kept} tiles had been finished by an earlier run")
+    return _Written(
+        valid=count_valid(target) if kept else sink.valid,
+        doubts=list(dict.fromkeys([*inputs.doubts, *broken])),
+        told=_mismatch(ready, sink),
+    )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Ready:
-    """Who makes tiles, in which order, what cannot be read, and what is told of the seams."""
+def _mismatch(ready: Ready, sink: TileSink) -> dict[str, Any]:
+    """How far photos lie apart at the seams; nothing where no place tells."""
+    if ready.job.probe is None:
+        return {}
+    found = ready.job.probe.result(sink.shifts)
+    return {"seam_mismatch": found.as_json()} if found.accepted else {}
 
-    job: MosaicJob
-    mosaic: Renderer
-    plan: Plan
-    broken: list[str]
-    told: dict[str, Any]
-    # under which finished tiles are kept for a later run
-    key: str
-    probe: MismatchProbe | None = None
+
+def _rendered(
+    ready: Ready,
+    cache: ImageCache,
+    cluster: Cluster | None,
+    sink: TileSink,
+    workers: int,
+    feedback: Feedback,
+) -> list[str]:
+    """Make the tiles of a plan; messages of photos that could not be read."""
+    from georef_gis.mosaic.tile_maker import TileMaker
+    from processing_algorithms.mosaic.cluster import render_on_cluster
+    from processing_algorithms.mosaic.tiles import render_tiles
+
+    broken: list[str] = []
+    if cluster is None:
+        maker = TileMaker(ready.job, cache.get, broken)
+        render_tiles(maker, ready.plan, cache, sink, max(1, workers), feedback)
+    else:
+        render_on_cluster(cluster, ready.job, ready.plan, cache, sink, feedback, broken)
+    return broken
 
 
 @contextmanager
@@ -215,67 +235,3 @@ def _cluster(context: Context, parameters: MosaicParameters) -> Iterator[Cluster
         photos=PhotoRoot(here=here, there=parameters.photos_root),
     ) as cluster:  # fmt: skip
         yield cluster
-
-
-def _decoded(path: Path, reduce: int) -> Image:
-    """Pixels of a photo, not kept: each is reduced once."""
-    from georef_gis.rasters.reading import read_image
-
-    return read_image(path, reduce=reduce)
-
-
-def _renderer(
-    context: Context,
-    parameters: MosaicParameters,
-    inputs: Inputs,
-    cache: ImageCache,
-    feedback: Feedback,
-) -> _Ready:
-    from georef_gis.mosaic.job import MosaicJob, checked_reader
-    from georef_gis.mosaic.seam_mismatch import MismatchProbe
-    from georef_gis.project.seam_layer import SEAMS_FILE, is_edited
-    from processing_algorithms.mosaic.inputs import fingerprint_of, mosaic_sources
-    from processing_algorithms.mosaic.seamlines import SeamWishes, prepare, replanned
-    from processing_algorithms.rasters import ground_of
-    from processing_algorithms.site import mostly_adjusted
-
-    sources = mosaic_sources(inputs)
-    seams = parameters.seams
-    if seams == "auto":
-        adjusted = mostly_adjusted(inputs.site.pose_kinds[k] for k in sources)
-        seams = "optimised" if adjusted and len(sources) > 1 else "none"
-    broken: list[str] = []
-    if seams == "none":
-        if is_edited(context.require_project().folder / SEAMS_FILE):
-            feedback.warn(f"{SEAMS_FILE} was edited, but is not used: seams are none here")
-        job = MosaicJob(
-            sources=tuple(sources.values()), ground=ground_of(inputs.site, inputs.grid),
-            grid=inputs.grid, gsd=inputs.gsd, kind=inputs.kind,
-        )  # fmt: skip
-        mosaic = job.open(cache.get, broken)
-        project = context.require_project()
-        key = fingerprint_of(project, list(sources.values()), inputs.grid, job.ground)
-        return _Ready(
-            job=job, mosaic=mosaic, plan=inputs.plan, broken=broken, told={"seams": "none"},
-            key=key,
-        )  # fmt: skip
-    wishes = SeamWishes(
-        optimised=seams == "optimised", colour=parameters.colour, blend=parameters.blend
-    )
-    found = prepare(
-        context.require_project(), inputs, sources, wishes=wishes,
-        read=checked_reader(_decoded, inputs.kind), workers=max(1, context.workers),
-        feedback=feedback,
-    )  # fmt: skip
-    broken += found.broken
-    job = MosaicJob(
-        sources=found.sources, ground=found.ground, grid=found.grid, gsd=inputs.gsd,
-        kind=inputs.kind, seams=found.seams, field=found.field,
-    )  # fmt: skip
-    probe = MismatchProbe(found.steps.places, factor=found.seams.factor, gsd=inputs.gsd)
-    mosaic = job.open(cache.get, broken, probe)
-    plan = replanned(inputs.plan, found.seams, inputs.capacity)
-    return _Ready(
-        job=job, mosaic=mosaic, plan=plan, broken=broken, told=found.told(inputs), key=found.key,
-        probe=probe,
-    )  # fmt: skip

@@ -33,6 +33,7 @@ def project_seams(
     frame: MapFrame,
     *,
     optimised: bool,
+    workers: int,
     feedback: Feedback,
     progress: Callable[[float], None],
 ) -> FoundSeams:
@@ -58,8 +59,9 @@ def project_seams(
         progress(1.0)
         return FoundSeams(index=index, labels=_labels(index, coarse, source), edited=True)
     labels = choose_seams(
-        source, coarse, optimised=optimised, cancelled=feedback.cancelled, progress=progress
-    )
+        source, coarse, optimised=optimised, workers=workers, cancelled=feedback.cancelled,
+        progress=progress,
+    )  # fmt: skip
     found = polygons_of(labels, coarse, source.ids)
     crs = frame.horizontal
     write_seams(path, found, Srs(name=crs.name, wkt=crs.to_wkt("WKT1_GDAL"), code=crs.to_epsg()))

@@ -162,9 +162,11 @@ def prepare(
     corrected = CorrectedProxies(store, balanced.model, ground)
     found = project_seams(
         project, corrected, coarse, inputs.site.frame, optimised=wishes.optimised,
-        feedback=feedback, progress=_told(feedback, 0.15, 0.1),
+        workers=workers, feedback=feedback, progress=_told(feedback, 0.15, 0.1),
     )  # fmt: skip
-    blend, steps = _blended(corrected, found.labels, coarse, inputs, wishes, check)
+    blend, steps = _blended(
+        corrected, found.labels, coarse, wishes, bands=inputs.kind[0], workers=workers, check=check
+    )
     _told(feedback, 0.25, 0.05)(1.0)
     field = None
     if wishes.colour != "none" or blend is not None:
@@ -274,18 +276,19 @@ def _blended(
     corrected: CorrectedProxies,
     labels: SparseRaster,
     coarse: Grid,
-    inputs: Inputs,
     wishes: SeamWishes,
+    *,
+    bands: int,
+    workers: int,
     check: Callable[[], None],
 ) -> tuple[LowBlend | None, SeamSteps]:
     """Low frequencies, if they are to be blended, and the steps that are left at the seams."""
     from georef_gis.mosaic.low_blend import blend_low
     from georef_gis.mosaic.seam_steps import measure_steps
 
-    bands = inputs.kind[0]
     blend = None
     if wishes.blend == "multiband":
-        blend = blend_low(corrected, labels, coarse, bands, check)
+        blend = blend_low(corrected, labels, coarse, bands, check, workers)
     return blend, measure_steps(corrected, labels, blend, bands, check)
 
 
@@ -306,4 +309,6 @@ def _balanced(
         cameras=[photo.camera_id for photo in photos],
         flights=[photo.flight_id for photo in photos],
         mode=wishes.colour, value_range=inputs.value_range(largest), check=check,
+        # three bands of 8 bits are a picture with a camera's curve; "gain" keeps linear ones so
+        bent=wishes.colour == "full" and inputs.kind == (3, "uint8"),
     )  # fmt: skip

@@ -13,12 +13,12 @@ from georef_gis.model.mesh import (
     LOCAL_MAP_TOLERANCE,
     Ground,
     LocalMap,
-    choose_step,
     node_positions,
     parallax,
 )
+from georef_gis.model.mesh_step import choose_step
 from georef_gis.model.terrain import FlatTerrain, Terrain
-from georef_gis.rasters.warp import positions, relief
+from georef_gis.rasters.warp import ground_mesh, positions
 
 FLAT = FlatTerrain(origin=cases.SITE, height_ellipsoidal=277.6)
 
@@ -34,8 +34,8 @@ def make_grid(code: str, gsd: float, half: float = 40.0) -> Grid:
 
 def through_mesh(photo, ground: Ground, grid: Grid, window: Window, step: int) -> np.ndarray:
     """uv of every pixel centre of a window as a warp takes it."""
-    p_enu = ground.enu_at(grid, node_positions(window, step))
-    delta = relief(ground, grid, window, step)
+    mesh = ground_mesh(ground, grid, window, step)
+    p_enu, delta = mesh.p_enu, mesh.delta
     moves = None if delta is None else parallax(photo, p_enu)
     return positions(photo.project(p_enu), step, (window.height, window.width), delta, moves)
 

@@ -8,11 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from georef_gis.mosaic.block_means import Samples
 from georef_gis.mosaic.overlaps import Overlaps
 
 Array = NDArray[np.float64]
 # horizontal reach of a photo over the flying height: half sides
 HALF = (0.5, 0.4)
+# px of the coarse grid in a flying height
+PIXELS = 500.0
 
 
 def views_and_places(offset: Array) -> tuple[Array, Array]:
@@ -38,6 +41,10 @@ class Flight:
     noise: float = 0.0
     outliers: float = 0.0
     full: float = 255.0
+    # whether the camera's response bends: white stays white
+    bent: bool = False
+    # logarithm of each photo's own light: tilt along x and y, and twice the curvature along x
+    clouds: Array | None = None
     blocks: int = 60
     links: list[tuple[int, int]] | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(3))
@@ -54,6 +61,13 @@ class Flight:
         shape = shape + self.cone * np.exp(-away / 0.08)
         return np.exp(shape - self.vignetting * (0.6 * r2 + 0.4 * r2**2))
 
+    def cloud(self, photo: int, xy: Array) -> Array:
+        """Logarithm of a photo's own light; (k,)."""
+        if self.clouds is None:
+            return np.zeros(len(xy))
+        shapes = np.stack([xy[:, 0], xy[:, 1], xy[:, 0] ** 2 - 0.2], axis=1)
+        return np.asarray(shapes @ self.clouds[photo])
+
     def pairs(self) -> list[tuple[int, int]]:
         if self.links is not None:
             return self.links
@@ -64,7 +78,11 @@ class Flight:
 
     def value(self, photo: int, ground: Array, places: Array) -> tuple[Array, Array, Array]:
         xy, view = views_and_places(places - self.nadirs[photo])
-        seen = ground * self.light(xy, view)[:, None] / np.exp(self.gain[photo])
+        light = self.light(xy, view) * np.exp(self.cloud(photo, xy))
+        factor = light[:, None] / np.exp(self.gain[photo])
+        seen = ground * factor
+        if self.bent:
+            seen = seen / (1.0 + (factor - 1.0) * ground / 255.0)
         seen = seen - self.offset[photo]
         seen = seen * np.exp(self.noise * self.rng.normal(size=seen.shape))
         return seen * self.full / 255.0, xy, view
@@ -89,8 +107,25 @@ class Flight:
         va, vb, xa, xb, na, nb = (part.astype(np.float32) for part in rest)
         return Overlaps(
             a=a, b=b, value_a=va, value_b=vb, xy_a=xa, xy_b=xb, view_a=na, view_b=nb,
-            weight=np.ones(len(a), np.float32),
+            weight=np.ones_like(va),
         )  # fmt: skip
+
+    def samples(self, each: int = 60) -> Samples:
+        """Pixels of all photos, over ground that is the same everywhere."""
+        parts = []
+        for photo, nadir in enumerate(self.nadirs):
+            places = nadir + self.rng.uniform(-1.0, 1.0, (each, 2)) * HALF
+            value, xy, view = self.value(photo, np.full((each, self.bands), 100.0), places)
+            middle = np.broadcast_to(nadir, places.shape)
+            columns = (value, xy, view, places * PIXELS, middle * PIXELS)
+            value, xy, view, places, middle = (part.astype(np.float32) for part in columns)
+            parts.append(
+                Samples(
+                    photo=np.full(each, photo), value=value, xy=xy, view=view, place=places,
+                    nadir=middle,
+                )
+            )  # fmt: skip
+        return Samples.joined(parts, self.bands)
 
     def block(self) -> tuple[Overlaps, int, list[str], list[str]]:
         """Arguments of `solve_colour`, of one camera and one flight."""

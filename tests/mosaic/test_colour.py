@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from colour_cases import Flight, chain, grid_flight, views_and_places
 
-from georef_gis.mosaic.colour import ColourModel, ColourSettings, residual_steps, solve_colour
+from georef_gis.mosaic.colour import ColourModel, ColourSettings, solve_colour
+from georef_gis.mosaic.colour_steps import residual_steps
 from georef_gis.mosaic.overlaps import Overlaps
 
 FULL = ColourSettings()
@@ -64,7 +65,7 @@ def test_offsets_of_hazy_photos_lessen_the_steps() -> None:
 def test_lens_and_hot_spot_are_taken_out_together() -> None:
     flight = grid_flight(vignetting=0.3, hot_spot=0.35, noise=0.01)
     overlaps, model = solved(flight)
-    before = residual_steps(overlaps, solve_colour(*flight.block(), ColourSettings(mode="none")))
+    before = residual_steps(overlaps, None)
     after = residual_steps(overlaps, model)
     assert (before.median > 10.0).all()
     assert (after.median < 1.3).all()

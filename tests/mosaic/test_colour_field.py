@@ -10,32 +10,11 @@ from scipy.ndimage import map_coordinates
 
 from georef_gis.model.grid import Window
 from georef_gis.model.mesh import Ground
-from georef_gis.mosaic.colour_field import Knots, Lattice, coloured, gain_at
+from georef_gis.mosaic.colour_field import Lattice, PhotoTint, gain_over
 from georef_gis.mosaic.proxies import place_in_photo
 
 Array = NDArray[np.float64]
 FACTOR = 16
-
-
-def field_on(lattice: Lattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Gain and shift of two bands that depend on the place in the half grid."""
-    half = lattice.half
-    y, x = np.mgrid[half.row : half.row + half.height, half.col : half.col + half.width]
-    gain = np.stack([1.0 + 0.1 * np.sin(x / 3.0), 0.9 + 0.05 * np.cos(y / 2.0)], axis=-1)
-    add = np.stack([5.0 * np.cos(x / 4.0 + y), -3.0 + 0.0 * x], axis=-1)
-    return gain.astype(np.float32), add.astype(np.float32)
-
-
-def corrected(image: NDArray[np.uint8], window: Window) -> NDArray[np.float32]:
-    lattice = Lattice.around(window, FACTOR)
-    gain, add = field_on(lattice)
-    out = np.empty(image.shape, np.float32)
-    coloured(image, gain, add, lattice, (0, 0), out)
-    return out
-
-
-def picture(rows: int, cols: int) -> NDArray[np.uint8]:
-    return np.random.default_rng(3).integers(0, 256, (rows, cols, 2), dtype=np.uint8)
 
 
 def test_a_lattice_covers_its_window() -> None:
@@ -50,66 +29,10 @@ def test_a_lattice_covers_its_window() -> None:
         assert place == pytest.approx(col + 0.5)
 
 
-def test_the_field_is_bilinear_between_its_samples() -> None:
-    window = Window(col=512, row=1024, width=130, height=90)
-    image = picture(90, 130)
-    lattice = Lattice.around(window, FACTOR)
-    gain, add = field_on(lattice)
-    y, x = np.mgrid[:90, :130] / lattice.spacing
-    at = [y + lattice.y0, x + lattice.x0]
-    want = np.stack([
-        image[..., b] * map_coordinates(gain[..., b], at, order=1)
-        + map_coordinates(add[..., b], at, order=1)
-        for b in range(2)
-    ], axis=-1)  # fmt: skip
-    # float32 of values up to 300
-    np.testing.assert_allclose(corrected(image, window), want, atol=2e-3)
-
-
-def test_any_tiling_gives_the_same_values() -> None:
-    image = picture(128, 256)
-    whole = corrected(image, Window(col=256, row=384, width=256, height=128))
-    for col, row, width, height in ((0, 0, 64, 128), (64, 32, 192, 96), (33, 7, 51, 100)):
-        part = image[row : row + height, col : col + width]
-        here = Window(col=256 + col, row=384 + row, width=width, height=height)
-        want = whole[row : row + height, col : col + width]
-        np.testing.assert_allclose(corrected(part, here), want, atol=1e-3)
-
-
-def test_a_block_of_a_window_is_the_window_s() -> None:
-    window = Window(col=256, row=384, width=256, height=128)
-    image, lattice = picture(128, 256), Lattice.around(window, FACTOR)
-    gain, add = field_on(lattice)
-    out = np.empty((64, 128, 2), np.float32)
-    coloured(image[64:, 128:], gain, add, lattice, (64, 128), out)
-    np.testing.assert_allclose(out, corrected(image, window)[64:, 128:], atol=1e-3)
-
-
-@pytest.mark.parametrize(("dtype", "top"), [("uint8", 255), ("uint16", 65535)])
-def test_integers_are_rounded_and_cut(dtype: str, top: int) -> None:
-    window = Window(col=0, row=0, width=4, height=1)
-    lattice = Lattice.around(window, FACTOR)
-    shape = (lattice.half.height, lattice.half.width, 1)
-    image = np.array([[[0], [10], [100], [top]]], dtype=dtype)
-    out = np.empty_like(image)
-    gain, add = np.full(shape, 1.05, np.float32), np.full(shape, -1.0, np.float32)
-    coloured(image, gain, add, lattice, (0, 0), out)
-    # -1 -> 0; 9.5 -> 10 (rounding of a half may go either way); 104; above the top
-    assert out.ravel().tolist() in ([0, 9, 104, top], [0, 10, 104, top])
-
-
-def test_negative_integers_round_to_the_nearest() -> None:
-    window = Window(col=0, row=0, width=3, height=1)
-    lattice = Lattice.around(window, FACTOR)
-    shape = (lattice.half.height, lattice.half.width, 1)
-    image = np.array([[[-10], [-5], [7]]], dtype=np.int16)
-    out = np.empty_like(image)
-    coloured(image, np.ones(shape, np.float32), np.zeros(shape, np.float32), lattice, (0, 0), out)
-    assert out.ravel().tolist() == [-10, -5, 7]
-
-
 class Vignette:
     """Darker towards the corners, bluer towards the sun in the east."""
+
+    knee = 0.0
 
     def factor(self, photo: int, xy: Array, view: Array) -> Array:
         r2 = np.sum(xy**2, axis=-1)
@@ -126,13 +49,29 @@ def test_the_gain_at_a_pixel_is_that_of_its_ray() -> None:
     ground = Ground.of(scene.frame, scene.grid, cases.TERRAIN, heights)
     window = Window(col=128, row=64, width=256, height=256)
     lattice = Lattice.around(window, FACTOR)
-    knots = Knots.under(lattice, ground, scene.grid)
-    gain = gain_at(photo, Vignette(), 0, knots, photo.project(knots.p_enu))
+    gain = gain_over(photo, Vignette(), 0, lattice, ground, scene.grid)
     y, x = np.mgrid[:256:17, :256:17]
     at = [y / lattice.spacing + lattice.y0, x / lattice.spacing + lattice.x0]
     colrow = np.stack([x + 128.5, y + 64.5], axis=-1).astype(np.float64)
     true = Vignette().factor(0, *place_in_photo(photo, ground.enu_at(scene.grid, colrow)))
     for b in range(2):
         found = map_coordinates(gain[..., b], at, order=1)
-        # of a parabola of 0.3 a half diagonal of 360 px, bilinear over 32 px: 0.0012
-        np.testing.assert_allclose(found, true[..., b], atol=1.5e-3)
+        # of a parabola of 0.3 a half diagonal of 360 px, bilinear over 64 px: 0.0024 along each
+        # axis
+        np.testing.assert_allclose(found, true[..., b], atol=5e-3)
+
+
+def test_a_photo_s_tint_is_cut_out_and_goes_on_beyond_its_rim() -> None:
+    half = Window(col=10, row=20, width=6, height=4)
+    y, x = np.mgrid[20:24, 10:16]
+    gain = np.stack([x, y], axis=-1).astype(np.float32)
+    tint = PhotoTint(half=half, gain=gain, offset=np.array([1.0, -2.0], np.float32))
+    # samples 14 to 18 and 19 to 21, of which some lie beyond the photo
+    lattice = Lattice.around(Window(col=15 * 32, row=20 * 32, width=65, height=33), FACTOR)
+    part = tint.over(lattice, None)
+    want = np.clip(lattice.half.col + np.arange(lattice.half.width), 10, 15)
+    np.testing.assert_array_equal(part.gain[0, :, 0], want)
+    want = np.clip(lattice.half.row + np.arange(lattice.half.height), 20, 23)
+    np.testing.assert_array_equal(part.gain[:, 0, 1], want)
+    assert np.unique(part.add[..., 0]).tolist() == [1.0]
+    assert np.unique(part.add[..., 1]).tolist() == [-2.0]

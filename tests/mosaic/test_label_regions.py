@@ -52,4 +52,17 @@ def test_the_only_part_of_a_photo_stays_however_small() -> None:
 def test_photos_touch_across_the_blocks_of_a_raster() -> None:
     values = np.full((SIZE[1], SIZE[0]), -1, np.int32)
     values[:, :256], values[:, 256:300], values[:, 301:] = 2, 0, 1
-    assert touching(labels_of(values)) == [(0, 2)]
+    border = Window(col=255, row=0, width=2, height=SIZE[1])
+    assert touching(labels_of(values)) == {(0, 2): border}
+
+
+def test_the_window_of_a_pair_has_both_sides_of_all_they_share() -> None:
+    values = np.zeros((SIZE[1], SIZE[0]), np.int32)
+    values[100:120, 200:230] = 3
+    # at a corner of the other, and apart from it
+    values[120:125, 230:240], values[130:140, 300:330] = 5, 5
+    # across four blocks
+    assert touching(labels_of(values)) == {
+        (0, 3): Window(col=199, row=99, width=32, height=22),
+        (0, 5): Window(col=229, row=119, width=102, height=22),
+    }

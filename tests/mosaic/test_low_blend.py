@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from georef_gis.model.grid import Grid, Window
+from georef_gis.mosaic import low_blend
 from georef_gis.mosaic.coarse import BLOCK, Proxy, SparseRaster, part_of
-from georef_gis.mosaic.low_blend import LEVELS, LowBlend, blend_low, low_of
+from georef_gis.mosaic.low_blend import LowBlend, OwnLow, blend_low, low_of
+from georef_gis.mosaic.low_levels import LEVELS
 
 Values = NDArray[np.float32]
 WIDTH, HEIGHT = 900, 500
@@ -127,3 +130,67 @@ def test_a_rim_in_the_neighbourhood_of_a_seam_makes_no_band() -> None:
         own = photos.windows[index]
         inside = corrections(photos, blend, index)[:, own.col // 2 : (own.col + own.width) // 2]
         assert np.abs(inside).max() < 0.01
+
+
+def noisy(bands: int) -> Photos:
+    """Two photos of noise that overlap, at odd places."""
+    image = np.random.default_rng(5).uniform(0, 255, (HEIGHT, WIDTH, bands)).astype(np.float32)
+    windows = (
+        Window(col=13, row=7, width=601, height=455),
+        Window(col=301, row=0, width=599, height=500),
+    )
+    return Photos([(window, image + 10.0 * k) for k, window in enumerate(windows)])
+
+
+def test_every_band_is_blended_like_one_alone() -> None:
+    """Six of them: OpenCV treats up to four in ways of its own."""
+    photos, labels = noisy(6), halves(450)
+    low = blend_low(photos, labels, COARSE, 6).low
+    for band in (0, 5):
+        alone = Photos(
+            [(w, np.ascontiguousarray(i[..., band : band + 1])) for w, i in photos.parts]
+        )
+        one = blend_low(alone, labels, COARSE, 1).low
+        # grey values, float32
+        for block in one:
+            np.testing.assert_allclose(
+                low.read(block)[..., band], one.read(block)[..., 0], atol=1e-3
+            )
+
+
+def test_threads_make_the_same_blend() -> None:
+    photos, labels = noisy(3), halves(450)
+    one, two = (blend_low(photos, labels, COARSE, 3, workers=n).low for n in (1, 2))
+    assert list(one) == list(two)
+    for block in one:
+        np.testing.assert_array_equal(one.read(block), two.read(block))
+
+
+def test_low_frequencies_are_kept_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = noisy(1)
+    loads: list[int] = []
+    load = photos.load
+    monkeypatch.setattr(photos, "load", lambda index: loads.append(index) or load(index))
+    proxy = load(0)
+    values, window = low_of(proxy.data, proxy.valid, proxy.window)
+    own = OwnLow(photos)
+    for _ in range(2):
+        found = own.of(0)
+        np.testing.assert_array_equal(found[0], values)
+        assert found[1] == window
+    assert loads == [0]
+    # room for one: the other goes
+    monkeypatch.setattr(low_blend, "KEPT_BYTES", values.nbytes)
+    for index in (1, 1, 0):
+        own.of(index)
+    assert loads == [0, 1, 0]
+
+
+def test_another_process_starts_with_nothing_kept() -> None:
+    photos = Photos([(Window(col=0, row=0, width=64, height=64), flat(7.0).copy())])
+    own = OwnLow(photos)
+    empty = len(pickle.dumps(own))
+    own.of(0)
+    sent = pickle.dumps(own)
+    assert len(sent) == empty
+    np.testing.assert_allclose(pickle.loads(sent).of(0)[0], 7.0, rtol=1e-6)

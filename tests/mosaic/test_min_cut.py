@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import maximum_flow
+from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from georef_gis.mosaic.min_cut import STEPS, min_cut
 
@@ -19,8 +19,8 @@ def neighbours(shape: tuple[int, int], k: int) -> tuple[tuple[slice, slice], tup
     return (slice(0, rows - dr), slice(0, cols - dc)), (slice(dr, rows), slice(dc, cols))
 
 
-def oracle(edges: Ints, terminals: Ints) -> int:
-    """Maximum flow of the same graph, by SciPy."""
+def graph_of(edges: Ints, terminals: Ints) -> csr_matrix:
+    """The same graph for SciPy: pixels in rows, then the source, then the sink."""
     shape = terminals.shape
     index = np.arange(terminals.size).reshape(shape)
     source, sink = terminals.size, terminals.size + 1
@@ -39,7 +39,26 @@ def oracle(edges: Ints, terminals: Ints) -> int:
         (np.concatenate(values), (np.concatenate(tails), np.concatenate(heads))),
         shape=(sink + 1, sink + 1),
     )
-    return int(maximum_flow(graph.tocsr().astype(np.int32), source, sink).flow_value)
+    return graph.tocsr().astype(np.int32)
+
+
+def oracle(edges: Ints, terminals: Ints) -> int:
+    """Maximum flow, by SciPy."""
+    n = terminals.size
+    return int(maximum_flow(graph_of(edges, terminals), n, n + 1).flow_value)
+
+
+def least_source(edges: Ints, terminals: Ints) -> NDArray[np.bool_]:
+    """Pixels that the source still reaches when SciPy's flow is the largest."""
+    n = terminals.size
+    graph = graph_of(edges, terminals)
+    left = graph - maximum_flow(graph, n, n + 1).flow
+    left.data[left.data < 0] = 0
+    left.eliminate_zeros()
+    reached = breadth_first_order(left, n, return_predecessors=False)
+    mask = np.zeros(n + 2, np.bool_)
+    mask[reached] = True
+    return mask[:n].reshape(terminals.shape)
 
 
 def cut_cost(edges: Ints, terminals: Ints, source: NDArray[np.bool_]) -> int:
@@ -64,6 +83,17 @@ def test_random_grids_are_cut_as_cheaply_as_the_largest_flow(seed: int) -> None:
     source, cost = min_cut(edges, terminals)
     assert cost == oracle(edges, terminals)
     assert cut_cost(edges, terminals, source) == cost
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_of_all_cheapest_cuts_it_is_the_one_with_the_smallest_source(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    shape = tuple(rng.integers(2, 12, 2))
+    # few values, so that many cuts cost the same
+    edges = rng.integers(0, 3, (2, *shape), dtype=np.int32)
+    terminals = rng.integers(-2, 3, shape, dtype=np.int32)
+    source, _ = min_cut(edges, terminals)
+    np.testing.assert_array_equal(source, least_source(edges, terminals))
 
 
 def test_a_picture_sized_grid_is_cut_as_cheaply_as_the_largest_flow() -> None:

@@ -91,9 +91,18 @@ def test_a_killed_worker_changes_no_pixel(
     write = TiledWriter.write_tile
     for tiles, words in ((local, ()), (many, ("--cluster", workers.scheduler_address))):
 
-        def kept(self: Any, row: int, col: int, data: Any, mask: Any, tiles: Tiles = tiles) -> None:
+        def kept(
+            self: Any,
+            row: int,
+            col: int,
+            data: Any,
+            mask: Any,
+            *,
+            tiles: Tiles = tiles,
+            **more: Any,
+        ) -> None:
             tiles[row, col] = data.tobytes(), b"" if mask is None else np.packbits(mask).tobytes()
-            write(self, row, col, data, mask)
+            write(self, row, col, data, mask, **more)
 
         monkeypatch.setattr(TiledWriter, "write_tile", kept)
         done = mosaic(site, "--seams", seams, *words)
@@ -123,6 +132,29 @@ def test_a_photo_broken_after_the_preparation_leaves_its_place_as_it_does_locall
         assert "truncated" in doubts[0]
         results.append((doubts, (own / "products" / "mosaic.tif").read_bytes()))
     assert results[0] == results[1]
+
+
+@pytest.mark.slow
+def test_tiles_that_workers_made_without_a_photo_are_made_again(
+    own: Path, workers: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    product, path = own / "products" / "mosaic.tif", own / "photos" / "P002.jpg"
+    assert mosaic(own, "--seams", "nearest").exit_code == 0
+    before, raw = product.read_bytes(), path.read_bytes()
+    product.unlink()
+    path.write_bytes(raw[: raw.index(b"\xff\xda") + 40])
+
+    def stop(self: TiledWriter) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(TiledWriter, "_finish_rest", stop)
+        done = mosaic(own, "--seams", "nearest", "--cluster", workers.scheduler_address)
+        assert done.exit_code == 130, done.output
+    path.write_bytes(raw)
+    done = mosaic(own, "--seams", "nearest")
+    assert "made without all their photos" in done.output
+    assert product.read_bytes() == before
 
 
 @pytest.mark.slow

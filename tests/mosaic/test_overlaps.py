@@ -10,8 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from georef_gis.model.grid import Window
+from georef_gis.mosaic.block_means import Samples
 from georef_gis.mosaic.coarse import Proxy
-from georef_gis.mosaic.overlaps import Overlaps, OverlapSettings, choose_pairs, gather_overlaps
+from georef_gis.mosaic.overlaps import (
+    Gathered,
+    Overlaps,
+    OverlapSettings,
+    choose_pairs,
+    gather_overlaps,
+)
 
 SETTINGS = OverlapSettings(value_range=(0.0, 255.0))
 
@@ -29,7 +36,7 @@ class Site:
     windows: list[Window]
     gain: list[float]
     loads: Counter[int] = field(default_factory=Counter)
-    patches: dict[int, tuple[slice, slice, float]] = field(default_factory=dict)
+    patches: dict[int, tuple[slice, slice, object]] = field(default_factory=dict)
     holes: dict[int, tuple[slice, slice]] = field(default_factory=dict)
 
     @property
@@ -60,6 +67,9 @@ class Site:
         return xy, -xy / 2.0
 
     def gather(self, settings: OverlapSettings = SETTINGS) -> Overlaps:
+        return self.all(settings).overlaps
+
+    def all(self, settings: OverlapSettings = SETTINGS) -> Gathered:
         return gather_overlaps(self, self.place, settings=settings)
 
 
@@ -131,6 +141,25 @@ def test_blocks_with_a_clipped_pixel_are_left_out(value: float) -> None:
     assert 68.0 in np.round(rows, 3)
 
 
+def test_a_clipped_band_leaves_the_others() -> None:
+    patch = (slice(80, 81), slice(0, 200), [254.0, 100.0])
+    found = two(patches={0: patch}).gather(replace(SETTINGS, blocks_per_pair=1000))
+    rows = np.round(found.xy_a[:, 1] * 250 + 77.0, 3)
+    here = rows == 76.0
+    assert here.any()
+    assert (found.weight[here, 0] == 0.0).all()
+    assert (found.weight[here, 1] > 0.0).all()
+    assert (found.weight[~here] > 0.0).all()
+    assert found.known_bands.all()
+
+
+def test_a_band_that_is_white_everywhere_hides_no_block() -> None:
+    whole = (slice(0, 160), slice(0, 200), [[255.0, 90.0]])
+    found = two(patches={0: whole, 1: whole}).gather()
+    assert len(found) == 150
+    np.testing.assert_array_equal(found.known_bands, [False, True])
+
+
 def test_data_without_an_end_are_never_clipped() -> None:
     patch = (slice(80, 81), slice(0, 200), 254.0)
     settings = replace(SETTINGS, value_range=None, blocks_per_pair=1000)
@@ -196,3 +225,34 @@ def test_photos_that_do_not_meet_give_nothing(count: int) -> None:
 def test_a_photo_smaller_than_a_block_gives_nothing() -> None:
     windows = [Window(col=1, row=1, width=6, height=6), Window(col=0, row=0, width=80, height=80)]
     assert len(Site(windows, [1.0, 1.0]).gather()) == 0
+
+
+def test_pixels_are_kept_clipped_or_not_and_with_their_place() -> None:
+    patch = (slice(0, 80), slice(0, 200), 255.0)
+    samples = two(patches={0: patch}).all().samples
+    assert np.bincount(samples.photo).tolist() == [150, 150]
+    assert 0.3 < (samples.value[samples.photo == 0] == 255.0).all(axis=1).mean() < 0.7
+    # in the photo's own window, at the centres of pixels' blocks
+    of_b = samples.place[samples.photo == 1]
+    assert of_b[:, 0].min() > 83
+    assert of_b[:, 0].max() < 283
+    want = ground(*(of_b.T - 0.5 + 0.5)) * 1.25
+    np.testing.assert_allclose(samples.value[samples.photo == 1], want, rtol=0.02)
+
+
+def test_many_photos_keep_few_pixels_each() -> None:
+    windows = lattice(6, 6)
+    site = Site(windows, [1.0] * len(windows))
+    samples = site.all(replace(SETTINGS, samples_in_all=36 * 30)).samples
+    assert set(np.bincount(samples.photo)) == {30}
+
+
+def test_the_nearest_nadir_shows_the_ground() -> None:
+    flat = np.zeros((4, 2), np.float32)
+    samples = Samples(
+        photo=np.array([0, 0, 2, 2]), value=flat, xy=flat, view=flat,
+        place=np.array([[1, 0], [7, 0], [7, 0], [3, 0]], np.float32),
+        nadir=np.array([[0, 0], [0, 0], [10, 0], [10, 0]], np.float32),
+    )  # fmt: skip
+    np.testing.assert_array_equal(samples.nearest(), [True, False, True, False])
+    assert Samples.joined([], 3).nearest().shape == (0,)

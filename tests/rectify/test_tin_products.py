@@ -12,13 +12,14 @@ from rectify_cases import BENT, ORIGIN, camera_at, map_frame
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame
 from georef_gis.model.grid import Grid, Window
-from georef_gis.model.mesh import Ground, choose_step, node_positions, parallax
+from georef_gis.model.mesh import Ground, node_positions, parallax
+from georef_gis.model.mesh_step import choose_step
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.terrain import DemTerrain, Terrain, dem_terrain
 from georef_gis.model.tie_points import GroundPoints
 from georef_gis.model.tin import TinTerrain
 from georef_gis.orient.surface import fit_surface
-from georef_gis.rasters.warp import positions, relief, warp_window
+from georef_gis.rasters.warp import ground_mesh, positions, warp_window
 from georef_gis.rectify.footprints import footprint
 from georef_gis.rectify.grids import plan_grid
 
@@ -70,8 +71,8 @@ def ground_of(terrain: Terrain, frame: MapFrame, grid: Grid) -> Ground:
 
 def through_mesh(photo: OrientedPhoto, ground: Ground, grid: Grid, window: Window) -> Array:
     step = choose_step(photo, ground, grid, window)
-    p_enu = ground.enu_at(grid, node_positions(window, step))
-    delta = relief(ground, grid, window, step)
+    mesh = ground_mesh(ground, grid, window, step)
+    p_enu, delta = mesh.p_enu, mesh.delta
     moves = None if delta is None else parallax(photo, p_enu)
     return positions(photo.project(p_enu), step, (window.height, window.width), delta, moves)
 

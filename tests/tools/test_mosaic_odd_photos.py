@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mosaic_flights import ROW, Flight, flat, make, scene, taken
+import tifffile
+from mosaic_flights import PREPARED, ROW, Flight, flat, make, scene, taken
+from tool_cases import georef
 
 from georef_gis.mosaic import prepare
+from georef_gis.rasters.reading import read_image
 from processing_algorithms.mosaic import seamlines, tiles
 
 pytestmark = pytest.mark.slow
@@ -142,10 +145,92 @@ def test_a_photo_far_larger_than_the_rest(tmp_path: Path) -> None:
 def test_depths_that_differ_are_named_and_left_out(tmp_path: Path) -> None:
     flight = shown(tmp_path / "site", dtypes={2: "uint16"})
     done = flight.made()
-    assert "3 x 16" in done.line("doubt", "P002.tif")
+    assert "3 x uint16" in done.line("doubt", "P002.tif")
     data, _ = flight.read()
     assert data.dtype == np.uint8
     assert set(np.unique(taken(flight, LEVELS))) == {-1, 0, 1, 3}
+
+
+def stored_anew(flight: Flight, store: Callable[[int, Path], None]) -> None:
+    """Write the photos' files by their numbers in another way, and have them read again."""
+    for k in range(len(ROW)):
+        store(k, flight.photo(k))
+    done = georef("run", flight.folder, "--only", PREPARED)
+    assert done.code == 0, done.text
+
+
+@pytest.mark.parametrize(
+    ("types", "bands"), [(("int16", "uint16"), 1), (("uint32", "float32"), 3)], ids=str
+)
+def test_types_of_as_many_bits_are_kinds_of_their_own(
+    tmp_path: Path, types: tuple[str, str], bands: int
+) -> None:
+    """The first photo is the stranger: what it holds must not decide."""
+    flight = shown(tmp_path / "site")
+
+    def store(k: int, path: Path) -> None:
+        image = np.full((400, 600, bands), LEVELS[k], types[min(k, 1)])
+        tifffile.imwrite(path, np.squeeze(image), photometric="minisblack" if bands == 1 else "rgb")
+
+    stored_anew(flight, store)
+    done = flight.made()
+    line = done.line("doubt", "P000.tif")
+    assert f"{bands} x {types[0]} where most photos have {bands} x {types[1]}" in line
+    assert done.text.count("doubt") == 1
+    assert str(flight.read()[0].dtype) == types[1]
+    assert set(np.unique(taken(flight, LEVELS))) == {-1, 1, 2, 3}
+
+
+def with_fourth(kind: str) -> Callable[[int, Path], None]:
+    """Writes the photos as they are with a fourth sample."""
+
+    def store(k: int, path: Path) -> None:
+        image = np.dstack([read_image(path)[..., :3], np.full((400, 600), 200 + k, np.uint8)])
+        tifffile.imwrite(path, image, photometric="rgb", extrasamples=[kind])
+
+    return store
+
+
+@pytest.mark.parametrize("seams", ["optimised", "none"])
+@pytest.mark.parametrize("kind", ["unassalpha", "assocalpha"])
+def test_an_alpha_channel_is_no_band_and_is_told_once(
+    tmp_path: Path, seams: str, kind: str
+) -> None:
+    flight = make(tmp_path / "site")
+    flight.wish(seams=seams)
+    flight.made()
+    want, mask = flight.read()
+    stored_anew(flight, with_fourth(kind))
+    done = flight.made()
+    line = done.line("doubt", "alpha channel")
+    assert "P000.tif" in line
+    assert "3 more photos" in line
+    assert done.text.count("alpha channel") == 1
+    data, shown_at = flight.read()
+    np.testing.assert_array_equal(data, want)
+    np.testing.assert_array_equal(shown_at, mask)
+
+
+def test_a_fourth_band_is_one_unless_it_is_stated_to_be_alpha(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site")
+    stored_anew(flight, with_fourth("unspecified"))
+    done = flight.made()
+    assert "doubt" not in done.text
+    data, mask = flight.read()
+    assert data.shape[2] == 4
+    found = taken(flight, LEVELS)
+    # at seams two photos are mixed
+    same = data[..., 3] == 200 + found
+    assert same[mask].mean() > 0.99
+
+
+def test_photos_with_and_without_alpha_make_one_mosaic(tmp_path: Path) -> None:
+    flight = shown(tmp_path / "site")
+    add = with_fourth("unassalpha")
+    stored_anew(flight, lambda k, path: add(k, path) if k == 2 else None)
+    done = flight.made()
+    assert "more photos" not in done.line("doubt", "P002.tif", "alpha channel")
+    assert set(np.unique(taken(flight, LEVELS))) == {-1, 0, 1, 2, 3}
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
 import signal
@@ -12,7 +13,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from mosaic_flights import ROW, Flight, copied, make
 
@@ -24,7 +24,7 @@ from georef_gis.rasters import files, quarters, spool
 from georef_gis.rasters.writer import TiledWriter
 from georef_gis.toolbox.registry import load_registry
 from georef_gis.toolbox.runner import RunOptions, run_tool
-from processing_algorithms.mosaic import seam_file
+from processing_algorithms.mosaic import ready, seam_file
 
 pytestmark = pytest.mark.slow
 
@@ -106,6 +106,73 @@ def test_a_killed_mosaic_goes_on_to_the_same_bytes(
     assert {p.name for p in flight.path.parent.iterdir()} == {"mosaic.tif", "overlap.tif"}
     assert not any((flight.folder / "cache" / "mosaic" / "tiles").iterdir())
     assert "1 of 1 steps were unchanged" in flight.made().text
+
+
+# what is done when it is stopped: owner, function, calls
+LATE = {"sixth tile": (TiledWriter, "write_tile", 6), "end": (TiledWriter, "_finish_rest", 1)}
+
+
+def stopped_without(flight: Flight, photo: Path, moment: tuple[Any, str, int]) -> None:
+    """Make the mosaic up to a moment; a photo is lost as long as its tiles are made."""
+    owner, name, count = moment
+    away = photo.with_suffix(".away")
+    make_ready = ready.made_ready
+
+    def made_ready(*args: Any) -> Any:
+        out = make_ready(*args)
+        photo.rename(away)
+        return out
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(ready, "made_ready", made_ready)
+        patched.setattr(owner, name, after(count, getattr(owner, name), stop))
+        assert flight.run("--workers", "1").code == 130
+    away.rename(photo)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Flight:
+    """A mosaic still to be made, of photos of its own: those of a copy are the first project's."""
+    return make(tmp_path / "own", products={"gsd_m": FINE})
+
+
+@pytest.mark.parametrize("moment", LATE.values(), ids=LATE)
+@pytest.mark.parametrize("seams", ["optimised", "none"])
+def test_tiles_made_while_a_photo_was_away_are_made_again(
+    own: Flight, seams: str, moment: tuple[Any, str, int]
+) -> None:
+    """A share that was away for a moment: what the last of four photos in a row shows with others
+    is not theirs for ever, what it shows alone not empty."""
+    own.wish(seams=seams)
+    whole = copied(own, own.folder.parent / "whole")
+    whole.made()
+    stopped_without(own, own.photo(3), moment)
+    done = own.made()
+    assert "made again" in done.line("without all their photos")
+    assert "doubt" not in done.text
+    assert own.path.read_bytes() == whole.path.read_bytes()
+
+
+@pytest.mark.parametrize("seams", ["optimised", "none"])
+def test_a_photo_that_stays_lost_is_named_by_the_run_that_goes_on_too(
+    own: Flight, seams: str
+) -> None:
+    own.wish(seams=seams)
+    own.made()
+    own.path.unlink()
+    photo = own.photo(1)
+    stopped_without(own, photo, LATE["end"])
+    photo.write_bytes(b"nothing")
+    done = own.made()
+    assert done.line("doubt", "P001.tif")
+
+
+def test_tiles_that_a_lost_photo_does_not_touch_are_kept(own: Flight) -> None:
+    """The last of four photos in a row; an overview of four tiles goes with one of them."""
+    stopped_without(own, own.photo(3), LATE["sixth tile"])
+    done = own.made()
+    assert done.line("without all their photos")
+    assert 2 <= int(done.line("finished by an earlier run").split()[0]) < 6
 
 
 def test_tiles_of_other_wishes_are_not_gone_on_with(
@@ -206,15 +273,25 @@ def test_a_full_disk_is_told_in_one_line_and_gone_on_from(
     assert flight.path.read_bytes() == whole
 
 
+class FullFile(io.FileIO):
+    """A file on a disk that takes a few bytes more."""
+
+    def write(self, data: Any) -> int:
+        super().write(memoryview(data).cast("B")[:9])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
 def test_a_disk_that_is_full_of_proxies_is_told_in_one_line(
     flight: Flight, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(file: Any, **arrays: Any) -> None:
-        file.write(b"some of it")
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    real = Path.open
+
+    def opened(self: Path, mode: str = "r", *args: Any, **options: Any) -> Any:
+        full = "w" in mode and "proxies" in self.parts
+        return FullFile(self, "wb") if full else real(self, mode, *args, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr(np, "savez", full)
+        patched.setattr(Path, "open", opened)
         done = flight.run()
     assert done.code == 2, done.text
     assert "free space" in done.line("No space left on device")
@@ -224,7 +301,7 @@ def test_a_disk_that_is_full_of_proxies_is_told_in_one_line(
 
 def test_proxies_that_a_power_cut_left_empty_are_made_again(flight: Flight, whole: bytes) -> None:
     flight.made()
-    kept = sorted((flight.folder / "cache" / "mosaic" / "proxies").glob("*/*.npz"))
+    kept = sorted((flight.folder / "cache" / "mosaic" / "proxies").glob("*/*"))
     assert len(kept) == len(ROW)
     kept[0].write_bytes(b"")
     kept[1].write_bytes(kept[1].read_bytes()[:1000])
