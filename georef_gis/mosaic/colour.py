@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from georef_gis.frames import Array
 from georef_gis.mosaic.block_means import Samples
@@ -166,12 +165,7 @@ def solve_colour(
         Pixels of the photos. With them colours are held from tilting the mosaic as a whole.
     """
     cameras, flights = sorted(set(camera_of)), sorted(set(flight_of))
-    layout = Layout(
-        camera=_numbers(camera_of, cameras),
-        flight=_numbers(flight_of, flights),
-        cameras=len(cameras),
-        flights=len(flights),
-    )
+    layout = Layout.of(camera_of, flight_of)
     solution = solve(overlaps, layout, settings, samples)
     x = solution.x
     if settings.mode == "gain":
@@ -188,9 +182,3 @@ def solve_colour(
         reach=solution.reach,
         knee=settings.knee,
     )
-
-
-def _numbers(names: Sequence[str], known: Sequence[str]) -> NDArray[np.int64]:
-    """Place of each name among those that are known; (n,)."""
-    place = {name: i for i, name in enumerate(known)}
-    return np.array([place[name] for name in names], dtype=np.int64)

@@ -11,7 +11,7 @@ first order, but it cannot be made small by making both photos dark.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
@@ -20,7 +20,6 @@ import numpy as np
 
 from georef_gis.frames import Array
 from georef_gis.mosaic.block_means import Floats, Indices
-from georef_gis.mosaic.coarse import Mask
 from georef_gis.mosaic.colour_basis import RADIAL_POWERS, TREND_TERMS, radial_basis, trend_basis
 from georef_gis.mosaic.compiled import compiled
 from georef_gis.mosaic.hot_spot import MOST, Spot, find_spot
@@ -50,6 +49,13 @@ class Layout:
     flight: Indices
     cameras: int
     flights: int
+
+    @classmethod
+    def of(cls, camera_of: Sequence[str], flight_of: Sequence[str]) -> Layout:
+        """Layout from the names of each photo's camera and flight, numbered in their order."""
+        cameras, camera = np.unique(np.array(camera_of, dtype=np.str_), return_inverse=True)
+        flights, flight = np.unique(np.array(flight_of, dtype=np.str_), return_inverse=True)
+        return cls(camera=camera, flight=flight, cameras=cameras.size, flights=flights.size)
 
     @property
     def photos(self) -> int:
@@ -128,7 +134,7 @@ class Equations:
         order = np.lexsort((overlaps.b, overlaps.a, kinds))
         # they are large: not copied where they are in order
         in_order = np.array_equal(order, np.arange(order.size))
-        self._o = o = overlaps if in_order else _chosen(overlaps, order)
+        self._o = o = overlaps if in_order else chosen(overlaps, order)
         new = np.concatenate([[True], (o.a[1:] != o.a[:-1]) | (o.b[1:] != o.b[:-1])])
         self._starts = np.flatnonzero(new)
         self._pair_of = np.cumsum(new) - 1
@@ -224,7 +230,7 @@ class Equations:
         for flight in range(self._layout.flights):
             own = np.flatnonzero((flights[0] == flight) & (flights[1] == flight))
             own = own[:: -(-max(own.size, 1) // MOST)]
-            spot = find_spot(_chosen(self._o, own), apart[own], total[own], self._reach)
+            spot = find_spot(chosen(self._o, own), apart[own], total[own], self._reach)
             if spot is not None:
                 found[flight] = spot
         return found
@@ -299,7 +305,7 @@ def _kinds(overlaps: Overlaps, layout: Layout) -> Indices:
     return np.asarray(one[overlaps.a] * (layout.cameras * layout.flights) + one[overlaps.b])
 
 
-def _chosen(overlaps: Overlaps, which: Indices | Mask) -> Overlaps:
+def chosen(overlaps: Overlaps, which: Indices | slice) -> Overlaps:
     """Some of the overlaps, or all in another order."""
     return Overlaps(**{f.name: getattr(overlaps, f.name)[which] for f in fields(Overlaps)})
 

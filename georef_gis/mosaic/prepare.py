@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,8 @@ from georef_gis.model.mesh import Ground
 from georef_gis.mosaic.coarse import SparseRaster, nearest_labels
 from georef_gis.mosaic.colour import ColourModel, ColourSettings, solve_colour
 from georef_gis.mosaic.colour_level import common_level, with_level
+from georef_gis.mosaic.colour_normals import Layout
+from georef_gis.mosaic.colour_response import response_bends
 from georef_gis.mosaic.colour_steps import Steps, residual_steps
 from georef_gis.mosaic.overlaps import Overlaps, OverlapSettings, gather_overlaps
 from georef_gis.mosaic.proxies import CorrectedProxies, ProxyStore
@@ -111,8 +113,8 @@ def balance(
     check
         May raise to stop.
     bent
-        Whether gains spare what is near white, see `tone.py`: who corrects pixels must then use
-        `model.knee`.
+        Whether the response of the cameras may bend towards white, see `tone.py`. Whether it does
+        is found from the photos; then `model.knee` is not 0.
     """
 
     def place(index: int, cols: Array, rows: Array) -> tuple[Array, Array]:
@@ -121,7 +123,11 @@ def balance(
 
     found = gather_overlaps(store, place, settings=OverlapSettings(value_range=value_range))
     top = 0.0 if value_range is None or value_range[0] != 0.0 else value_range[1]
-    settings = ColourSettings(mode=mode, knee=1.0 / top if bent and top else 0.0)
+    settings = ColourSettings(mode=mode)
+    if bent and top and mode != "none":
+        layout = Layout.of(cameras, flights)
+        if response_bends(found.overlaps, layout, settings, 1.0 / top):
+            settings = replace(settings, knee=1.0 / top)
     model = solve_colour(found.overlaps, len(store.ids), cameras, flights, settings, found.samples)
     level = 0.0
     if top and mode != "none":

@@ -11,6 +11,8 @@ from colour_cases import chain, grid_flight
 from georef_gis.mosaic.block_means import Samples
 from georef_gis.mosaic.colour import ColourModel, ColourSettings, solve_colour
 from georef_gis.mosaic.colour_level import common_level, with_level
+from georef_gis.mosaic.colour_normals import Layout, chosen
+from georef_gis.mosaic.colour_response import response_bends
 from georef_gis.mosaic.colour_steps import residual_steps
 
 TOP = 255.0
@@ -113,3 +115,19 @@ def test_the_hue_does_not_drift_along_a_chain() -> None:
     error = model.gain - flight.gain
     # each band by itself drifts by 0.06
     assert np.abs(error - error.mean(axis=1, keepdims=True)).max() < 0.05
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.15])
+@pytest.mark.parametrize("bent", [False, True])
+def test_whether_a_response_bends_is_told_by_the_photos(bent: bool, spread: float) -> None:
+    flight = grid_flight(vignetting=0.3, noise=0.02, outliers=0.1, spread=spread)
+    overlaps, _, cameras, flights = replace(flight, bent=bent).block()
+    layout = Layout.of(cameras, flights)
+    assert response_bends(overlaps, layout, ColourSettings(), 1.0 / TOP) == bent
+
+
+def test_photos_without_overlap_tell_nothing_of_their_response() -> None:
+    overlaps, _, cameras, flights = grid_flight().block()
+    none = chosen(overlaps, slice(0, 0))
+    layout = Layout.of(cameras, flights)
+    assert not response_bends(none, layout, ColourSettings(), 1.0 / TOP)
