@@ -1,4 +1,4 @@
-"""Joint covariance of adjusted poses, as the adjustment left it."""
+"""Joint covariance of adjusted poses, cameras, mounts and clocks, as the adjustment left it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from georef_gis.frames import Array
-from georef_gis.project.columns_file import read_columns, write_columns
+from georef_gis.project.columns_file import columns_of, write_columns
 
 _KIND = "joint covariance"
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,6 +33,49 @@ class PoseCovariance:
             return None
         rows = (6 * np.array([number[k] for k in photo_ids])[:, None] + np.arange(6)).ravel()
         return np.asarray(self.matrix[np.ix_(rows, rows)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KeptCovariance:
+    """Covariance of all that was adjusted but the points.
+
+    Parameters
+    ----------
+    photo_ids
+        Of the n photos.
+    shared_names
+        Of the s unknowns that photos share, such as "rebel f", "flight boresight_x", "level": a
+        camera or flight and the name of its unknown.
+    matrix : shape (6 n + s, 6 n + s), m, rad, px and s
+        Poses first, `(dp_enu, dtheta_enu)` each; where control gave the level, it is in their
+        heights.
+    """
+
+    photo_ids: tuple[str, ...]
+    shared_names: tuple[str, ...]
+    matrix: Array
+
+    @property
+    def poses(self) -> PoseCovariance:
+        """That of the poses alone."""
+        n = 6 * len(self.photo_ids)
+        return PoseCovariance(photo_ids=self.photo_ids, matrix=self.matrix[:n, :n])
+
+    def pose_rows(self, photo_ids: Sequence[str]) -> Indices:
+        """Rows of the poses of photos, all of them adjusted; shape (6 k,)."""
+        number = {key: i for i, key in enumerate(self.photo_ids)}
+        first = 6 * np.array([number[key] for key in photo_ids], dtype=np.int64)
+        return np.asarray((first[:, None] + np.arange(6)).ravel())
+
+    def shared_rows(self, owner: str, names: Sequence[str]) -> Indices | None:
+        """Rows of the unknowns of a camera or a flight; None where it was not adjusted."""
+        number = {name: i for i, name in enumerate(self.shared_names)}
+        wanted = [f"{owner} {name}" for name in names]
+        if any(name not in number for name in wanted):
+            return None
+        return np.asarray(
+            6 * len(self.photo_ids) + np.array([number[name] for name in wanted], dtype=np.int64)
+        )
 
 
 def save_joint_covariance(
@@ -59,8 +104,8 @@ def save_joint_covariance(
     write_columns(path, _KIND, columns)
 
 
-def load_pose_covariance(path: Path) -> PoseCovariance | None:
-    """Joint covariance kept in `adjustment/covariance.npz`; None where there is none.
+def load_joint_covariance(path: Path) -> KeptCovariance | None:
+    """Covariance kept in `adjustment/covariance.npz`; None where there is none.
 
     Raises
     ------
@@ -69,14 +114,25 @@ def load_pose_covariance(path: Path) -> PoseCovariance | None:
     """
     if not path.exists():
         return None
-    read = read_columns(path, _KIND)
-    ids = tuple(str(name) for name in read["photo_ids"])
-    n, full = 6 * len(ids), read["covariance"]
-    matrix = full[:n, :n].copy()
-    if int(read["with_level"]):
-        # all heights rise with the level that control gave
-        up = np.zeros(n)
-        up[2::6] = 1.0
-        cross = np.outer(full[:n, -1], up)
-        matrix += cross + cross.T + full[-1, -1] * np.outer(up, up)
-    return PoseCovariance(photo_ids=ids, matrix=matrix)
+    with columns_of(path, _KIND) as read:
+        ids = tuple(str(name) for name in read["photo_ids"])
+        full = np.array(read["covariance"])
+        n = 6 * len(ids)
+        if int(read["with_level"]):
+            # all heights rise with the level that control gave
+            full[2:n:6] += full[-1]
+            full[:, 2:n:6] += full[:, -1:]
+        names = tuple(str(name) for name in read["shared_names"])
+        return KeptCovariance(photo_ids=ids, shared_names=names, matrix=full)
+
+
+def load_pose_covariance(path: Path) -> PoseCovariance | None:
+    """That of the poses alone, kept in `adjustment/covariance.npz`; None where there is none.
+
+    Raises
+    ------
+    InputError
+        If the file is cut off or none of ours.
+    """
+    kept = load_joint_covariance(path)
+    return None if kept is None else kept.poses

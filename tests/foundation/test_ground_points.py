@@ -16,11 +16,13 @@ from georef_gis.model.ground_point import (
     ground_point_jacobians,
     locate,
 )
+from georef_gis.model.joint_errors import SIGMA_LENS, camera_sigmas
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.pose import Pose
 from georef_gis.model.terrain import FlatTerrain
 
 N = 4000
+LENS = ("k1", "k2", "k3", "p1", "p2")
 POSE_SIGMAS = np.array([0.3, 0.2, 0.25, 0.004, 0.003, 0.006])
 
 
@@ -45,10 +47,12 @@ def drawn_points(
             covariance=np.zeros((6, 6)),
             velocity_enu=photo.pose.velocity_enu,
         )
-        df, du, dv = rng.normal(size=3) * [camera.sigma_f, camera.sigma_c, camera.sigma_c]
+        off = rng.normal(size=11) * camera_sigmas(camera)
+        lens = {n: getattr(camera, n) + d for n, d in zip(LENS, off[3:8], strict=True)}
         true_camera = replace(
-            camera, fx=camera.fx + df, fy=camera.fy + df, cx=camera.cx + du, cy=camera.cy + dv
-        )
+            camera, fx=camera.fx + off[0], fy=camera.fy + off[0], cx=camera.cx + off[1],
+            cy=camera.cy + off[2], **lens,
+        )  # fmt: skip
         ground = FlatTerrain(origin=cases.SITE, height_ellipsoidal=277.6 + sigma_h * rng.normal())
         true = OrientedPhoto(photo=photo.photo, camera=true_camera, pose=pose)
         out[k] = locate(true, uv + sigma_uv * rng.normal(size=2), ground)
@@ -94,8 +98,20 @@ def test_click_and_focal_length_by_hand() -> None:
     ground = FlatTerrain(origin=cases.SITE, height_ellipsoidal=277.6)
     p = locate(photo, [647.5 + 521.7, 431.5], ground)  # half a focal length to the right: 30 m
     C = ground_point_covariance(photo, p, ground, sigma_uv=2.0)
-    east = np.hypot(2.0 * 60.0 / 1043.4, 30.0 * 10.0 / 1043.4)
-    assert np.sqrt(np.diag(C)) == pytest.approx([east, 2.0 * 60.0 / 1043.4, 0.0], abs=1e-4)
+    # ideal radius 1/2; of the lens k1 r^3, k2 r^5, k3 r^7 east, p2 3 r^2 east and p1 r^2 north
+    k1, k2, k3, p1, p2 = SIGMA_LENS
+    lens_east = 60.0 * np.linalg.norm([k1 / 8, k2 / 32, k3 / 128, p2 * 3 / 4])
+    east = np.linalg.norm([2.0 * 60.0 / 1043.4, 30.0 * 10.0 / 1043.4, lens_east])
+    north = np.hypot(2.0 * 60.0 / 1043.4, 60.0 * p1 / 4)
+    assert np.sqrt(np.diag(C)) == pytest.approx([east, north, 0.0], abs=1e-4)
+
+
+def test_a_camera_that_states_no_sigma_is_taken_as_known() -> None:
+    assert not camera_sigmas(cases.CAMERA).any()
+    calibrated = camera_sigmas(replace(cases.CAMERA, sigma_f=1.0))
+    assert np.all(calibrated[3:8] > 0.0)
+    nobody_knows = replace(cases.CAMERA, sigma_f=1.0, k1=0, k2=0, k3=0, p1=0, p2=0)
+    assert np.all(camera_sigmas(nobody_knows)[3:8] > calibrated[3:8])
 
 
 @pytest.mark.parametrize("ground_kind", ["flat", "slope"])
