@@ -7,9 +7,13 @@ from processing_algorithms.ingest.sync_board import SYNC_BOARD_TOOLS
 from processing_algorithms.measure.accuracy import Accuracy
 from processing_algorithms.measure.accuracy_table import AccuracyTable
 from processing_algorithms.measure.control import ControlPoints
+from processing_algorithms.measure.intersect import Intersect
+from processing_algorithms.measure.locate import Locate
+from processing_algorithms.measure.measure_lines import MeasureLines
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.measure.report import Report
 from processing_algorithms.measure.where_to_click import WhereToClick
+from processing_algorithms.measure.who_sees import WhoSees
 from processing_algorithms.mosaic.band_index import BandIndex
 from processing_algorithms.mosaic.mosaic import MosaicTool
 from processing_algorithms.mosaic.sheets import MosaicSheets
@@ -54,4 +58,8 @@ ALGORITHMS = (
     AccuracyTable,
     Report,
     MeasurePhoto,
+    Locate,
+    Intersect,
+    MeasureLines,
+    WhoSees,
 )

@@ -10,10 +10,9 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.geodesy import MapFrame
-    from georef_gis.measure.single_photo import PhotoPoints
+    from georef_gis.measure.measured import MeasuredPoints
+    from georef_gis.measure.scene import Scene
     from georef_gis.model.photo import OrientedPhoto
-    from georef_gis.model.terrain import Terrain
 
 
 class MeasurePhotoParameters(p.Parameters):
@@ -51,84 +50,97 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
     ) -> Result:
         """Measure."""
         from georef_gis.errors import GeometryError
-        from georef_gis.measure.single_photo import (
-            camera_field_of_view,
-            lines_between,
-            measure_pixels,
-        )
+        from georef_gis.measure.points import Mark, locate_points
+        from processing_algorithms.measure.point_table import COLUMNS, point_rows, write_rows
 
-        photo, frame, terrain = _oriented(parameters)
-        agl = float(photo.pose.origin_enu[2] - terrain.z_at(photo.pose.origin_enu[:2]))
+        photo, scene = _oriented(parameters)
+        place = photo.pose.origin_enu
+        agl = float(place[2] - scene.terrain.z_at(place[:2]))
         if not math.isfinite(agl):
             raise GeometryError(f"photo {photo.id}: the project's DEM has no height below it")
-        fov = camera_field_of_view(photo.camera, agl)
-        summary: dict[str, Any] = {
-            "field_of_view_m": [round(fov.width, 4), round(fov.height, 4)],
-            "angle_of_view_deg": [
-                round(math.degrees(fov.angle_width), 3),
-                round(math.degrees(fov.angle_height), 3),
-            ],
-            "gsd_m": fov.gsd,
-            "height_above_ground_m": round(agl, 3),
-            "tilt_deg": round(math.degrees(photo.pose.tilt), 2),
-            "image_top_azimuth_deg": round(math.degrees(photo.pose.image_up_azimuth) % 360, 2),
-            "pose_kind": photo.pose.kind,
-            "camera": photo.camera.id,
-        }
+        summary = _shown(photo, agl)
         outputs: dict[str, Path] = {}
         if parameters.pixel:
-            uv = [(one.u, one.v) for one in parameters.pixel]
-            points = measure_pixels(photo, uv, terrain, sigma_uv=parameters.click)
-            rows = _rows(points, frame, photo.pose.sigma_height_shared)
+            marks = [
+                Mark(name="", photo=photo.id, u=one.u, v=one.v, sigma_px=parameters.click)
+                for one in parameters.pixel
+            ]
+            points = locate_points(scene, marks)
+            for line in dict.fromkeys(line for lines in points.doubts for line in lines):
+                feedback.warn(line)
+            rows = point_rows(points)
             summary["points"] = rows
-            if len(uv) > 1:
-                summary["lines"] = [
-                    {
-                        "distance_m": round(line.distance, 4),
-                        "sigma_m": round(line.sigma_distance, 4),
-                        "azimuth_deg": round(math.degrees(line.azimuth), 4),
-                        "sigma_azimuth_deg": round(math.degrees(line.sigma_azimuth), 4),
-                    }
-                    for line in lines_between(points)
-                ]
+            if len(points) > 1:
+                summary["lines"] = _lines(points)
             if parameters.target is not None:
-                _write(parameters.target, rows)
+                write_rows(parameters.target, rows, COLUMNS)
                 outputs["points"] = parameters.target
         return Result(outputs=outputs, summary=summary)
 
 
-def _oriented(
-    parameters: MeasurePhotoParameters,
-) -> tuple[OrientedPhoto, MapFrame, Terrain]:
+def _shown(photo: OrientedPhoto, height: float) -> dict[str, Any]:
+    """What a photo shows from a height above ground, m, and how it lies."""
+    from georef_gis.measure.single_photo import camera_field_of_view
+
+    fov, pose = camera_field_of_view(photo.camera, height), photo.pose
+    angles = (fov.angle_width, fov.angle_height)
+    return {
+        "field_of_view_m": [round(fov.width, 4), round(fov.height, 4)],
+        "angle_of_view_deg": [round(math.degrees(angle), 3) for angle in angles],
+        "gsd_m": fov.gsd,
+        "height_above_ground_m": round(height, 3),
+        "tilt_deg": round(math.degrees(pose.tilt), 2),
+        "image_top_azimuth_deg": round(math.degrees(pose.image_up_azimuth) % 360, 2),
+        "pose_kind": pose.kind,
+        "camera": photo.camera.id,
+    }
+
+
+def _lines(points: MeasuredPoints) -> list[dict[str, float]]:
+    """From each point to the next: distance on the ground and true azimuth."""
+    from georef_gis.measure.lengths import measure_lines
+
+    return [
+        {
+            "distance_m": round(leg.ground.value, 4),
+            "sigma_m": round(leg.ground.sigma, 4),
+            "sigma_by_places_m": round(leg.ground.sigma_apart, 4),
+            "azimuth_deg": round(math.degrees(leg.bearing_true.value), 4),
+            "sigma_azimuth_deg": round(math.degrees(leg.bearing_true.sigma), 4),
+        }
+        for leg in measure_lines(points).legs
+    ]
+
+
+def _oriented(parameters: MeasurePhotoParameters) -> tuple[OrientedPhoto, Scene]:
     from georef_gis.errors import InputError
 
     if parameters.site is None:
         return _from_tags(parameters)
     from georef_gis.project import Project
-    from processing_algorithms.site import load_site
+    from processing_algorithms.measure.session import MeasureSession
 
     if parameters.height or parameters.heading is not None or parameters.level:
         raise InputError("height, heading and level are the project's own where a site is given")
-    site = load_site(Project.open(parameters.site, read_only=True))
+    session = MeasureSession.open(Project.open(parameters.site, read_only=True))
     given = parameters.photo
-    named = [photo for photo in site.photos.values() if photo.photo.path.name == given.name]
+    named = [p for p in session.site.photos.values() if p.photo.path.name == given.name]
     # Two cards may hold one name each: then the path tells them apart.
     same = [photo for photo in named if photo.photo.path == given.resolve()]
     if len(same or named) != 1:
         what = f"has {len(named)} photos called" if named else "has no photo with a pose called"
         raise InputError(f"{what} '{given.name}'; give its path", source=str(parameters.site))
-    return (same or named)[0], site.frame, site.terrain
+    return (same or named)[0], session.scene
 
 
-def _from_tags(
-    parameters: MeasurePhotoParameters,
-) -> tuple[OrientedPhoto, MapFrame, Terrain]:
+def _from_tags(parameters: MeasurePhotoParameters) -> tuple[OrientedPhoto, Scene]:
     import numpy as np
 
     from georef_gis.errors import MissingMetadataError
     from georef_gis.geodesy import MapFrame, Origin, utm_crs
     from georef_gis.ingest.cameras import camera_for
     from georef_gis.ingest.photos import read_photo
+    from georef_gis.measure.scene import Scene
     from georef_gis.model.photo import OrientedPhoto
     from georef_gis.model.pose import Mount
     from georef_gis.orient.direct import DirectSettings, direct_poses
@@ -160,7 +172,8 @@ def _from_tags(
     )
     if pose.pose is None:
         raise pose.refused or MissingMetadataError("no pose", source=photo.id)
-    return OrientedPhoto(photo=photo, camera=camera, pose=pose.pose), frame, heights.terrain
+    oriented = OrientedPhoto(photo=photo, camera=camera, pose=pose.pose)
+    return oriented, Scene.of(frame, heights.terrain, [oriented])
 
 
 def _with_given(photo: Any, parameters: MeasurePhotoParameters) -> Any:
@@ -179,44 +192,3 @@ def _with_given(photo: Any, parameters: MeasurePhotoParameters) -> Any:
         return replace(photo, attitude=AttitudeTag(dialect="ypr", roll=0.0, pitch=0.0, yaw=yaw))
     old = old or AttitudeTag(dialect="ypr", roll=0.0, pitch=0.0, yaw=None)
     return replace(photo, attitude=replace(old, yaw=heading))
-
-
-def _rows(points: PhotoPoints, frame: MapFrame, sigma_shared: float) -> list[dict[str, float]]:
-    """Places with their sigmas; `sigma_shared`, m, is that of the ground's own level."""
-    import numpy as np
-
-    rows = []
-    for i, p_enu in enumerate(points.p_enu):
-        lat, lon, h = frame.origin.geo_from_enu(p_enu)
-        e, n, _ = frame.map_from_enu(p_enu)
-        c = points.covariance_of(i)
-        rows.append(
-            {
-                "u": float(points.uv[i, 0]),
-                "v": float(points.uv[i, 1]),
-                "lat_deg": round(math.degrees(lat), 9),
-                "lon_deg": round(math.degrees(lon), 9),
-                "easting": round(float(e), 4),
-                "northing": round(float(n), 4),
-                "height_ellipsoidal_m": round(float(h), 3),
-                "sigma_e_m": round(float(np.sqrt(c[0, 0])), 3),
-                "sigma_n_m": round(float(np.sqrt(c[1, 1])), 3),
-                "sigma_u_m": round(float(np.hypot(np.sqrt(c[2, 2]), sigma_shared)), 3),
-                "corr_en": round(float(c[0, 1] / np.sqrt(c[0, 0] * c[1, 1])), 4),
-            }
-        )
-    return rows
-
-
-def _write(target: Path, rows: list[dict[str, float]]) -> None:
-    import csv
-    import io
-
-    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
-
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with export_errors(target, lambda: 0), whole_file(resolve_target(target)) as stream:
-        stream.write(text.getvalue().encode())

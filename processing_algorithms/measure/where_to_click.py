@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +10,8 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.measure.scene import Scene
     from georef_gis.model.control import ControlObservations
-    from georef_gis.model.photo import OrientedPhoto
-    from georef_gis.orient.control_model import PredictedPixels
 
 
 class WhereToClickParameters(p.Parameters):
@@ -44,13 +43,13 @@ class WhereToClick(Algorithm[WhereToClickParameters]):
     ) -> Result:
         """Predict."""
         from georef_gis.errors import InputError
-        from georef_gis.orient.control_model import predict_pixels
         from processing_algorithms.measure.control import examine_control
-        from processing_algorithms.site import load_site
+        from processing_algorithms.measure.point_table import write_rows
+        from processing_algorithms.measure.session import MeasureSession
 
         project = context.require_project()
-        site = load_site(project, quick=context.quick)
-        loaded = examine_control(project, site)
+        session = MeasureSession.open(project, quick=context.quick)
+        loaded = examine_control(project, session.site)
         if loaded is None:
             raise InputError(
                 "no control points are named; give [control] file",
@@ -66,16 +65,14 @@ class WhereToClick(Algorithm[WhereToClickParameters]):
                 f"no usable point is called '{strange[0]}'; names are {', '.join(o.names[:10])}",
                 field="point",
             )
-        found = predict_pixels(site.photos, o, site.terrain)
-        rows = _rows(found, o, site.photos)
-        rows = [row for row in rows if not parameters.point or row["name"] in parameters.point]
-        if parameters.best:
-            rows = [row for row in rows if row["rank"] <= parameters.best]
+        chosen = [j for j, n in enumerate(o.names) if n in (parameters.point or o.names)]
+        rows = _rows(session.scene, o, chosen, parameters.best or None)
         unseen = [n for n in (parameters.point or o.names) if all(r["name"] != n for r in rows)]
         if unseen:
             feedback.warn(f"no photo shows {', '.join(unseen[:10])} by its pose")
         target = parameters.target or project.products / "where_to_click.csv"
-        _write(target, rows)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_rows(target, rows, _COLUMNS)
         summary = {
             "pairs": len(rows),
             "points_seen": len({row["name"] for row in rows}),
@@ -91,63 +88,31 @@ _COLUMNS = (
 
 
 def _rows(
-    found: PredictedPixels, o: ControlObservations, photos: dict[str, OrientedPhoto]
+    scene: Scene, o: ControlObservations, chosen: Sequence[int], best: int | None
 ) -> list[dict[str, Any]]:
-    """A row per pair, by point and then best photo first.
-
-    The rank is by the distance from the middle plus the longer half axis, both in half diagonals.
-    """
+    """A row per point and photo, by name of the point and then best photo first."""
     import numpy as np
 
+    from georef_gis.measure.who_sees import who_sees
+    from georef_gis.orient.control_model import prior_sigmas, shift_sigmas
+    from processing_algorithms.measure.who_sees import sighting_row
+
     marked = {(key, int(j)): uv for key, j, uv in zip(o.photo_ids, o.point, o.uv, strict=True)}
-    axes = found.axes
+    sigma = prior_sigmas(o, scene.terrain)
+    shift = shift_sigmas(o, scene.photos.photos)
     rows = []
-    for k, key in enumerate(found.photo_ids):
-        camera = photos[key].camera
-        half = math.hypot(camera.width, camera.height) / 2
-        middle = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
-        away = float(np.linalg.norm(found.uv[k] - middle)) / half
-        longest = np.linalg.eigh(found.covariance[k])[1][:, 1]
-        at = marked.get((key, int(found.point[k])))
-        rows.append(
-            {
-                "name": o.names[found.point[k]],
-                "rank": 0,
-                "photo": key,
-                "u": round(float(found.uv[k, 0]), 1),
-                "v": round(float(found.uv[k, 1]), 1),
-                "sigma_major_px": round(float(axes[k, 0]), 1),
-                "sigma_minor_px": round(float(axes[k, 1]), 1),
-                # clockwise from the top of the image
-                "ellipse_azimuth_deg": round(
-                    math.degrees(math.atan2(longest[0], -longest[1])) % 180, 0
-                ),
-                "from_middle": round(away, 3),
-                "marked_u": "" if at is None else round(float(at[0]), 2),
-                "marked_v": "" if at is None else round(float(at[1]), 2),
-                "score": away + float(axes[k, 0]) / half,
-            }
-        )
-    rows.sort(key=lambda row: (row["name"], row["score"]))
-    rank = 0
-    for i, row in enumerate(rows):
-        rank = rank + 1 if i and rows[i - 1]["name"] == row["name"] else 1
-        row["rank"] = rank
+    for j in sorted(chosen, key=lambda j: o.names[j]):
+        place = np.diag(sigma[j] ** 2 + shift**2)
+        # also where the ground seems to stand between: a control point is looked for in all
+        found = who_sees(scene, o.p_enu[j], place, best=best, hidden=True)
+        for rank, one in enumerate(found, start=1):
+            at = marked.get((one.photo_id, j))
+            rows.append(
+                {
+                    "name": o.names[j],
+                    **sighting_row(one, rank),
+                    "marked_u": "" if at is None else round(float(at[0]), 2),
+                    "marked_v": "" if at is None else round(float(at[1]), 2),
+                }
+            )
     return rows
-
-
-def _write(target: Path, rows: list[dict[str, Any]]) -> None:
-    import csv
-    import io
-
-    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
-
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(
-        text, fieldnames=_COLUMNS, lineterminator="\n", extrasaction="ignore"
-    )  # fmt: skip
-    writer.writeheader()
-    writer.writerows(rows)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with export_errors(target, lambda: 0), whole_file(resolve_target(target)) as stream:
-        stream.write(text.getvalue().encode())

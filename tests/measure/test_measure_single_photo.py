@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,13 +13,11 @@ from pyproj import Geod
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array, exp_so3
-from georef_gis.geodesy import Origin, prime_vertical_radius
-from georef_gis.measure.single_photo import (
-    camera_field_of_view,
-    field_of_view,
-    lines_between,
-    measure_pixels,
-)
+from georef_gis.geodesy import MapFrame, Origin, prime_vertical_radius, utm_crs
+from georef_gis.measure.lengths import Leg, measure_lines
+from georef_gis.measure.points import Mark, MeasuredPoints, locate_points
+from georef_gis.measure.scene import Scene
+from georef_gis.measure.single_photo import camera_field_of_view, field_of_view
 from georef_gis.model.camera import Camera
 from georef_gis.model.photo import OrientedPhoto, Photo
 from georef_gis.model.pose import Pose
@@ -50,6 +49,17 @@ def photo(
     )
 
 
+def measured(one: OrientedPhoto, uv: Sequence[Sequence[float]]) -> MeasuredPoints:
+    """Places of pixels of a photo over level ground."""
+    frame = MapFrame(ORIGIN, utm_crs(ORIGIN.lat, ORIGIN.lon))
+    marks = [Mark(name="", photo=one.id, u=u, v=v, sigma_px=1.0) for u, v in uv]
+    return locate_points(Scene.of(frame, GROUND, [one]), marks)
+
+
+def lines(one: OrientedPhoto, uv: Sequence[Sequence[float]]) -> tuple[Leg, ...]:
+    return measure_lines(measured(one, uv)).legs
+
+
 def test_worked_example_of_the_report() -> None:
     fov = field_of_view(52.1208, (22.2, 14.8), 18.0, pixels=3888)
     # Figure 8 gives four decimals.
@@ -76,9 +86,10 @@ def test_impossible_field_of_view_is_refused(bad: tuple[float, float]) -> None:
 @pytest.mark.parametrize("heading", [0.0, 45.0, 90.0, 180.0, 271.0])
 def test_heading_is_clockwise_from_north(heading: float) -> None:
     """The report's equations (13) to (15) turn the other way."""
-    found = measure_pixels(photo(heading), [[1943.5, 1295.5], [1943.5, 0.0]], GROUND)
-    (line,) = lines_between(found)
-    assert math.degrees(line.azimuth) == pytest.approx(heading, abs=1e-3)
+    (line,) = lines(photo(heading), [[1943.5, 1295.5], [1943.5, 0.0]])
+    # north and a degree less is 360: compared on the circle
+    off = (math.degrees(line.bearing_true.value) - heading + 180.0) % 360.0 - 180.0
+    assert off == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -88,10 +99,10 @@ def test_heading_is_clockwise_from_north(heading: float) -> None:
 )  # fmt: skip
 def test_azimuth_in_all_quadrants(uv: tuple[float, float], azimuth: float) -> None:
     """The report's arctan knows two of the four."""
-    (line,) = lines_between(measure_pixels(photo(), [[1943.5, 1295.5], uv], GROUND))
-    assert math.degrees(line.azimuth) == pytest.approx(azimuth, abs=3.0)
+    (line,) = lines(photo(), [[1943.5, 1295.5], uv])
+    assert math.degrees(line.bearing_true.value) == pytest.approx(azimuth, abs=3.0)
     expected = math.degrees(math.atan2(uv[0] - 1943.5, 1295.5 - uv[1])) % 360
-    assert math.degrees(line.azimuth) == pytest.approx(expected, abs=1e-3)
+    assert math.degrees(line.bearing_true.value) == pytest.approx(expected, abs=1e-3)
 
 
 def geocentric_radius(lat: float) -> float:
@@ -116,84 +127,42 @@ def test_longitude_has_the_prime_vertical_radius() -> None:
 
 
 def test_distances_and_azimuths_are_those_of_the_geodesic() -> None:
-    found = measure_pixels(photo(33.0), [[100, 200], [3500, 300], [2000, 2500]], GROUND)
+    found = measured(photo(33.0), [[100, 200], [3500, 300], [2000, 2500]])
     geo = np.degrees(ORIGIN.geo_from_enu(found.p_enu))
-    for line, (a, b) in zip(lines_between(found), pairwise(geo), strict=True):
+    for line, (a, b) in zip(measure_lines(found).legs, pairwise(geo), strict=True):
         azimuth, _, distance = GEOD.inv(a[1], a[0], b[1], b[0])
         # 250 m above the ellipsoid: 4e-5 longer.
-        assert line.distance == pytest.approx(distance * (1 + 250 / 6.37e6), rel=2e-6)
-        assert math.degrees(line.azimuth) == pytest.approx(azimuth % 360, abs=1e-3)
+        assert line.ground.value == pytest.approx(distance * (1 + 250 / 6.37e6), rel=2e-6)
+        assert math.degrees(line.bearing_true.value) == pytest.approx(azimuth % 360, abs=1e-3)
 
 
 def test_distance_is_far_better_than_places() -> None:
-    found = measure_pixels(photo(), [[1800, 1200], [2100, 1400]], GROUND)
-    (line,) = lines_between(found)
+    found = measured(photo(), [[1800, 1200], [2100, 1400]])
+    (line,) = measure_lines(found).legs
     place = math.sqrt(found.covariance_of(0)[0, 0])
     assert place > 2.0
-    assert line.sigma_distance < place / 10.0
+    assert line.ground.sigma < place / 10.0
+    assert line.ground.better > 10.0
 
 
 def test_longer_distance_has_the_larger_sigma() -> None:
-    found = measure_pixels(photo(), [[1900, 1290], [2000, 1290], [3800, 1290]], GROUND)
-    short, long = lines_between(found)
-    assert long.sigma_distance > short.sigma_distance
-
-
-@pytest.mark.slow
-def test_joint_covariance_by_monte_carlo(rng: np.random.Generator) -> None:
-    """Pose, ground, camera and clicks redrawn: their spread is the covariance that is stated."""
-    from dataclasses import replace
-
-    tilted = photo(20.0, np.array([0.1, -0.05, 0.0]))
-    uv = np.array([[400.0, 300.0], [3000.0, 2200.0]])
-    small = replace(tilted.pose, covariance=COVARIANCE / 25)
-    tilted = replace(tilted, pose=small)
-    found = measure_pixels(tilted, uv, GROUND, sigma_uv=1.5)
-    draws = []
-    for _ in range(2000):
-        error = rng.normal(size=6) * np.sqrt(np.diag(small.covariance))
-        pose = replace(
-            small, origin_enu=small.origin_enu + error[:3],
-            R_enu_from_cam=exp_so3(error[3:]) @ small.R_enu_from_cam,
-        )  # fmt: skip
-        f = CAMERA.fx + rng.normal() * CAMERA.sigma_f
-        c = rng.normal(size=2) * CAMERA.sigma_c
-        camera = replace(CAMERA, fx=f, fy=f, cx=CAMERA.cx + c[0], cy=CAMERA.cy + c[1])
-        ground = replace(GROUND, height_ellipsoidal=250.0 + rng.normal() * GROUND.sigma)
-        one = replace(tilted, pose=pose, camera=camera)
-        clicks = uv + rng.normal(size=uv.shape) * 1.5
-        d = one.ray(clicks)
-        p = ground.intersect(pose.origin_enu, d)
-        draws.append(p.ravel())
-    spread = np.cov(np.array(draws).T)
-    ratio = np.sqrt(np.diag(spread) / np.diag(found.covariance))
-    np.testing.assert_allclose(ratio, 1.0, atol=0.08)  # 2000 draws give 1.6 %; 2nd order
-    np.testing.assert_allclose(spread, found.covariance, atol=0.08 * spread.max())
-    difference = np.array(draws)[:, 3:5] - np.array(draws)[:, :2]
-    (line,) = lines_between(found)
-    assert np.hypot(*difference.T).std() == pytest.approx(line.sigma_distance, rel=0.08)
-    azimuth = np.arctan2(*difference.T)
-    assert np.std(azimuth) == pytest.approx(line.sigma_azimuth, rel=0.08)
-
-
-@pytest.fixture
-def rng() -> np.random.Generator:
-    return np.random.default_rng(7)
+    short, long = lines(photo(), [[1900, 1290], [2000, 1290], [3800, 1290]])
+    assert long.ground.sigma > short.ground.sigma
 
 
 @pytest.mark.parametrize("uv", [(-1, 100), (100, -0.6), (3888, 100), (100, 2592), (math.nan, 5)])
 def test_click_outside_the_photo_is_refused(uv: tuple[float, float]) -> None:
     with pytest.raises(GeometryError, match=r"photo P1: pixel .* lies outside 3888 x 2592 px"):
-        measure_pixels(photo(), [(100.0, 100.0), uv], GROUND)
+        measured(photo(), [(100.0, 100.0), uv])
 
 
 def test_click_at_the_sky_is_refused() -> None:
     looking_up = photo(0.0, np.array([math.radians(85.0), 0.0, 0.0]))
     with pytest.raises(GeometryError, match="does not look at the ground"):
-        measure_pixels(looking_up, [(1943.0, 10.0)], GROUND)
+        measured(looking_up, [(1943.0, 10.0)])
 
 
 def test_one_place_has_no_azimuth() -> None:
-    found = measure_pixels(photo(), [(100.0, 100.0), (100.0, 100.0)], GROUND)
-    with pytest.raises(GeometryError, match="no azimuth"):
-        lines_between(found)
+    found = measured(photo(), [(100.0, 100.0), (100.0, 100.0)])
+    with pytest.raises(GeometryError, match="are one place"):
+        measure_lines(found)

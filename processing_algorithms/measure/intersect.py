@@ -1,0 +1,45 @@
+"""Tool `intersect`: places of points that are marked in several photos."""
+
+from __future__ import annotations
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
+from georef_gis.toolbox import parameters as p
+
+
+class IntersectParameters(p.Parameters):
+    """Parameters of `intersect`."""
+
+    marks: p.File = p.file(
+        title="CSV of marks: name, photo, u, v[, sigma_px]; marks of one name are one point"
+    )
+    click: p.Number | None = p.number(
+        None, title="One sigma of every click, px, instead of the table's", ge=0, le=100
+    )
+    conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
+    strict: p.Flag = p.flag(
+        False, title="Stop at the first mark or point that cannot be used", advanced=True
+    )
+    target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
+
+
+class Intersect(Algorithm[IntersectParameters]):
+    """Places of points that are marked in two photos or more, with their full covariance.
+
+    Of three marks or more a wrong one is found, told and left out; rays that run nearly parallel
+    are refused.
+    """
+
+    id, name, group = "intersect", "Intersect marks", "measure"
+    needs = ("poses",)
+    outputs = (Output(name="points", title="Points as CSV or JSON"),)
+
+    def run(self, context: Context, parameters: IntersectParameters, feedback: Feedback) -> Result:
+        """Intersect."""
+        from processing_algorithms.measure.locate import points_result
+        from processing_algorithms.measure.marks import read_mark_table
+        from processing_algorithms.measure.session import MeasureSession
+
+        session = MeasureSession.open(context.require_project(), quick=context.quick)
+        marks = read_mark_table(parameters.marks, feedback, sigma_px=parameters.click)
+        found = session.intersect(marks, on_fail="raise" if parameters.strict else "skip")
+        return points_result(found, parameters.target, parameters.conf, feedback)

@@ -1,0 +1,83 @@
+"""Tool `locate`: places of pixels, each by one photo and the ground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.measure.measured import MeasuredPoints
+
+# points that the summary holds
+MOST_SHOWN = 50
+
+
+class LocateParameters(p.Parameters):
+    """Parameters of `locate`."""
+
+    pixel: tuple[p.PhotoPixel, ...] = p.photo_pixel(
+        (), title="Pixel photo:u,v; give it once per point"
+    )
+    photo: p.Text | None = p.text(None, title="Photo of pixels that name none")
+    marks: p.File | None = p.file(None, title="CSV of marks: name, photo, u, v[, sigma_px]")
+    click: p.Number | None = p.number(
+        None, title="One sigma of every click, px; else the table's, else 1", ge=0, le=100
+    )
+    conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
+    skip: p.Flag = p.flag(False, title="Go on without pixels that cannot be located")
+    target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
+
+
+class Locate(Algorithm[LocateParameters]):
+    """Places of pixels, each by one photo and the ground below it, with their full covariance.
+
+    Pose, camera, time, ground and click count, and how they hang together. A pixel at the sky,
+    beyond the terrain or outside of its photo is refused.
+    """
+
+    id, name, group = "locate", "Locate pixels", "measure"
+    needs = ("poses",)
+    outputs = (Output(name="points", title="Points as CSV or JSON"),)
+
+    def run(self, context: Context, parameters: LocateParameters, feedback: Feedback) -> Result:
+        """Locate."""
+        from georef_gis.errors import InputError
+        from processing_algorithms.measure.marks import marks_of_pixels, read_mark_table
+        from processing_algorithms.measure.session import MeasureSession
+
+        session = MeasureSession.open(context.require_project(), quick=context.quick)
+        marks = marks_of_pixels(parameters.pixel, parameters.photo, sigma_px=parameters.click)
+        if parameters.marks is not None:
+            marks += read_mark_table(parameters.marks, feedback, sigma_px=parameters.click)
+        if not marks:
+            raise InputError("nothing to locate: give --pixel photo:u,v or --marks", field="pixel")
+        found = session.locate(marks, on_fail="skip" if parameters.skip else "raise")
+        return points_result(found, parameters.target, parameters.conf, feedback)
+
+
+def points_result(
+    points: MeasuredPoints, target: Path | None, conf: float, feedback: Feedback
+) -> Result:
+    """Table of points written, what is doubtful told, and a summary."""
+    from processing_algorithms.measure.point_table import COLUMNS, point_rows, write_rows
+
+    for line in points.refused.values():
+        feedback.warn(line)
+    for name, lines in zip(points.names, points.doubts, strict=True):
+        for line in lines:
+            feedback.warn(f"{name}: {line}")
+    rows = point_rows(points, conf=conf)
+    summary: dict[str, Any] = {"measured": len(points), "refused": len(points.refused)}
+    if rows:
+        largest = sorted(row["semi_major_m"] for row in rows)
+        summary["semi_major_m_median"] = largest[len(largest) // 2]
+        summary["semi_major_m_most"] = largest[-1]
+    summary["points"] = rows[:MOST_SHOWN]
+    outputs: dict[str, Path] = {}
+    if target is not None:
+        write_rows(target, rows, COLUMNS)
+        outputs["points"] = target
+    return Result(outputs=outputs, summary=summary)
