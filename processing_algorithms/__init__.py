@@ -6,6 +6,7 @@ from processing_algorithms.ingest.photos import ReadPhotos
 from processing_algorithms.ingest.sync_board import SYNC_BOARD_TOOLS
 from processing_algorithms.measure.accuracy import Accuracy
 from processing_algorithms.measure.accuracy_table import AccuracyTable
+from processing_algorithms.measure.assets import Assets
 from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.intersect import Intersect
 from processing_algorithms.measure.locate import Locate
@@ -62,4 +63,5 @@ ALGORITHMS = (
     Intersect,
     MeasureLines,
     WhoSees,
+    Assets,
 )

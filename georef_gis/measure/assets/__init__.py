@@ -1,0 +1,1 @@
+"""Assets: what their classes are, and the layers that hold them with their accuracy."""
