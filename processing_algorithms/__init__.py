@@ -13,8 +13,10 @@ from processing_algorithms.measure.locate import Locate
 from processing_algorithms.measure.measure_lines import MeasureLines
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.measure.report import Report
+from processing_algorithms.measure.screen_work_zone import ScreenWorkZone
 from processing_algorithms.measure.where_to_click import WhereToClick
 from processing_algorithms.measure.who_sees import WhoSees
+from processing_algorithms.measure.wzdx import Wzdx
 from processing_algorithms.mosaic.band_index import BandIndex
 from processing_algorithms.mosaic.mosaic import MosaicTool
 from processing_algorithms.mosaic.sheets import MosaicSheets
@@ -64,4 +66,6 @@ ALGORITHMS = (
     MeasureLines,
     WhoSees,
     Assets,
+    ScreenWorkZone,
+    Wzdx,
 )

@@ -1,0 +1,1 @@
+"""Work zones: screening of measured devices against a manual's figures, and the WZDx feed."""

@@ -1,0 +1,317 @@
+"""The zone as a WZDx work zone feed: GeoJSON that navigation services read.
+
+Only what is measured comes from here: the positions of the first and the last device and those
+between, and widths of lanes. All else a person states. How sure the positions are has no place in
+the standard and goes to a file beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from typing import Any
+
+from georef_gis.errors import ExportError, InputError
+from georef_gis.measure.workzone.verdicts import CERTAIN, Finding
+from georef_gis.measure.workzone.wzdx_rules import WzdxRules, check_feed, wzdx_rules
+from georef_gis.units import INTERNATIONAL_FOOT as FOOT
+
+# deg; 0.1 mm
+DECIMALS = 9
+_KPH_PER_MPH = 1.609344
+# z of the one-sided probability from which a requirement counts as met
+_Z_PASS = 1.6448536269514722
+_VERIFIED = ("is_start_date_verified", "is_end_date_verified", "is_start_position_verified",
+             "is_end_position_verified")  # fmt: skip
+_MUST = ("publisher", "organization_name", "data_source_id", "road_names", "direction",
+         "start_date", "end_date", "vehicle_impact", "devices", "id")  # fmt: skip
+_OPTIONAL = ("version", "location_method", "name", "description", "contact_name", "contact_email",
+             "update_frequency", "creation_date", "beginning_cross_street", "ending_cross_street",
+             "beginning_milepost", "ending_milepost", "reduced_speed_limit_mph", "types_of_work",
+             "cc0_license", "lane_count", "lane", *_VERIFIED)  # fmt: skip
+_PLAIN = ("beginning_cross_street", "ending_cross_street", "beginning_milepost",
+          "ending_milepost")  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DevicePlace:
+    """Place of a device: degrees of WGS 84, and semi axes (m) of its ellipse for 95 %."""
+
+    name: str
+    asset_id: str
+    lon: float
+    lat: float
+    sigma_e: float
+    sigma_n: float
+    semi_major: float
+    semi_minor: float
+    azimuth: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WzdxSettings:
+    """Table [wzdx] of ``work_zone.toml``, complete and with known keys only."""
+
+    values: Mapping[str, Any]
+    rules: WzdxRules
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines of devices, as drivers meet them."""
+        return list(self.values["devices"])
+
+
+def wzdx_settings(table: Mapping[str, Any], source: str, *, suggestion: str = "") -> WzdxSettings:
+    """Settings of the feed.
+
+    Parameters
+    ----------
+    suggestion
+        What the devices say of `vehicle_impact`, for the user to confirm.
+
+    Raises
+    ------
+    InputError
+        Naming all that is missing at once, or a key that is none.
+    """
+    known = {*_MUST, *_OPTIONAL}
+    for key in table.keys() - known:
+        raise InputError(f"is no key; use {', '.join(sorted(known))}", source=source,
+                         field=f"wzdx.{key}")  # fmt: skip
+    rules = wzdx_rules(str(table.get("version") or "4.2"))
+    missing = [f"wzdx.{key}" for key in _MUST if table.get(key) in (None, "", [])]
+    hints = {
+        "wzdx.direction": f" ({', '.join(rules.words['direction'])})",
+        "wzdx.vehicle_impact": f" (the devices suggest {suggestion}: confirm it)"
+        if suggestion
+        else "",
+    }
+    if missing:
+        told = ", ".join(name + hints.get(name, "") for name in missing)
+        raise InputError(f"fill in what is missing, it is not made up: {told}", source=source)
+    for key in ("road_names", "devices", "types_of_work"):
+        if key in table and not _is_texts(table[key]):
+            raise InputError('must be a list of texts, such as ["I-79"]', source=source,
+                             field=f"wzdx.{key}")  # fmt: skip
+    _check_lanes(table, source)
+    return WzdxSettings(values=dict(table), rules=rules)
+
+
+def _is_texts(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, str) and one for one in value)
+
+
+def _check_lanes(table: Mapping[str, Any], source: str) -> None:
+    lanes = table.get("lane", [])
+    if not isinstance(lanes, list) or not all(isinstance(lane, dict) for lane in lanes):
+        raise InputError("must stand as [[wzdx.lane]]", source=source, field="wzdx.lane")
+    count = table.get("lane_count", 0)
+    if lanes and count != len(lanes):
+        raise InputError(
+            f"{len(lanes)} lanes are listed, lane_count says {count}; list all lanes of the "
+            "road, or none",
+            source=source,
+            field="wzdx.lane",
+        )
+
+
+def suggested_impact(offset_to_left: float) -> str:
+    """What a merging taper says of `vehicle_impact`: devices shift to the left of the traffic.
+
+    Parameters
+    ----------
+    offset_to_left
+        From the first to the last device, m.
+    """
+    return f"some-lanes-closed-merge-{'left' if offset_to_left > 0 else 'right'}"
+
+
+def build_feed(
+    settings: WzdxSettings,
+    places: Sequence[DevicePlace],
+    *,
+    widths: Sequence[Finding] = (),
+    now: datetime,
+) -> dict[str, Any]:
+    """Feed of one work zone, found valid.
+
+    Parameters
+    ----------
+    places
+        Devices from the first to the last that drivers meet.
+    widths
+        Widths of lanes to state as restrictions, each at its narrowest device.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two devices.
+    ExportError
+        If the feed breaks a rule of the standard, with all that it breaks.
+    """
+    if len(places) < 2:
+        raise InputError(f"{len(places)} devices on the lines {', '.join(settings.lines)}; a zone "
+                         "has a first and a last one", field="wzdx.devices")  # fmt: skip
+    values, rules = settings.values, settings.rules
+    feed = {
+        "feed_info": _feed_info(values, rules, now),
+        "type": "FeatureCollection",
+        "features": [
+            {
+                "id": str(values["id"]),
+                "type": "Feature",
+                "properties": _properties(values, widths),
+                "geometry": _geometry(places),
+            }
+        ],
+    }
+    problems = check_feed(feed, rules.version)
+    if problems:
+        few = "; ".join(problems[:8]) + (f"; and {len(problems) - 8} more"
+                                         if len(problems) > 8 else "")  # fmt: skip
+        raise ExportError(f"WZDx {rules.version} would not take the feed: {few}; correct [wzdx]")
+    return feed
+
+
+def _feed_info(values: Mapping[str, Any], rules: WzdxRules, now: datetime) -> dict[str, Any]:
+    contact = {
+        key: values[key] for key in ("contact_name", "contact_email", "update_frequency")
+        if values.get(key)
+    }  # fmt: skip
+    info: dict[str, Any] = {
+        "publisher": values["publisher"],
+        "version": rules.version,
+        "update_date": _utc(now),
+        "data_sources": [
+            {
+                "data_source_id": values["data_source_id"],
+                "organization_name": values["organization_name"],
+            }
+        ],
+        **contact,
+    }
+    return info | ({"license": rules.licence} if values.get("cc0_license") else {})
+
+
+def _properties(values: Mapping[str, Any], widths: Sequence[Finding]) -> dict[str, Any]:
+    core = {
+        "data_source_id": values["data_source_id"],
+        "event_type": "work-zone",
+        "road_names": list(values["road_names"]),
+        "direction": values["direction"],
+        **{key: values[key] for key in ("name", "description") if values.get(key)},
+    }
+    if values.get("creation_date"):
+        core["creation_date"] = _utc(values["creation_date"])
+    out: dict[str, Any] = {
+        "core_details": core,
+        "start_date": _utc(values["start_date"]),
+        "end_date": _utc(values["end_date"]),
+        **{key: values.get(key, False) for key in _VERIFIED},
+        "location_method": values.get("location_method") or "channel-device-method",
+        "vehicle_impact": values["vehicle_impact"],
+        **{key: values[key] for key in _PLAIN if values.get(key) not in (None, "")},
+    }
+    limit = values.get("reduced_speed_limit_mph")
+    if limit:
+        is_number = isinstance(limit, int | float)
+        out["reduced_speed_limit_kph"] = round(limit * _KPH_PER_MPH, 2) if is_number else limit
+    if values.get("types_of_work"):
+        out["types_of_work"] = [{"type_name": one} for one in values["types_of_work"]]
+    if values.get("lane"):
+        out["lanes"] = sorted(values["lane"], key=lambda lane: str(lane.get("order")).zfill(3))
+    if widths:
+        out["restrictions"] = [_restriction(width) for width in widths]
+    return out
+
+
+def _restriction(width: Finding) -> dict[str, Any]:
+    return {"type": "reduced-width", "value": stated_width(width), "unit": "feet"}
+
+
+def stated_width(width: Finding) -> float:
+    """Width to state, ft: one that the lane has with the probability of a pass, rounded down."""
+    # Else 0.1 ft would be lost to the last digit of a float.
+    return max(math.floor(certain_width(width) / FOOT * 10.0 + 1e-9) / 10.0, 0.0)
+
+
+def certain_width(width: Finding) -> float:
+    """Width, m, that a lane has at a device with the probability of a pass."""
+    return width.value - _Z_PASS * width.sigma
+
+
+def _geometry(places: Sequence[DevicePlace]) -> dict[str, Any]:
+    coordinates = [[round(p.lon, DECIMALS), round(p.lat, DECIMALS)] for p in places]
+    kind = "LineString" if len(coordinates) > 2 else "MultiPoint"
+    return {"type": kind, "coordinates": coordinates}
+
+
+def _utc(value: Any) -> Any:
+    """UTC text of a time; what is none stays as it is and is found by the check."""
+    if isinstance(value, datetime) and value.tzinfo is not None:
+        told = value.astimezone(UTC).isoformat(timespec="seconds")
+        return told.replace("+00:00", "Z")
+    if isinstance(value, date):
+        # TOML has times and dates without a zone; which one is meant is not ours to say
+        return str(value)
+    try:
+        return _utc(datetime.fromisoformat(value)) if "T" in str(value).upper() else value
+    except (TypeError, ValueError):
+        return value
+
+
+def accuracy_file(
+    places: Sequence[DevicePlace],
+    *,
+    widths: Sequence[Finding],
+    datum: tuple[str, float],
+    assumption: str,
+    settings: WzdxSettings,
+) -> dict[str, Any]:
+    """JSON-able account of how sure the feed's positions and widths are.
+
+    Parameters
+    ----------
+    datum
+        Its name, and what it may hide where it is unknown, m.
+    assumption
+        What the covariance rests on.
+    """
+    return {
+        "about": "How sure the positions and widths of the WZDx feed beside this file are; one "
+        "sigma in m, semi axes of the error ellipses for 95 %, azimuth in degrees clockwise from "
+        "grid north. The standard has no place for it.",
+        "id": settings.values["id"],
+        "version": settings.rules.version,
+        "datum": datum[0],
+        "datum_sigma_m": datum[1],
+        "covariance": assumption,
+        "devices": [_device_json(place) for place in places],
+        "lane_widths": [_width_json(width) for width in widths],
+    }
+
+
+def _device_json(place: DevicePlace) -> dict[str, Any]:
+    return {
+        "name": place.name,
+        "asset_id": place.asset_id,
+        "longitude": round(place.lon, DECIMALS),
+        "latitude": round(place.lat, DECIMALS),
+        "sigma_e_m": round(place.sigma_e, 4),
+        "sigma_n_m": round(place.sigma_n, 4),
+        "semi_major_95_m": round(place.semi_major, 4),
+        "semi_minor_95_m": round(place.semi_minor, 4),
+        "azimuth_deg": round(place.azimuth, 1),
+    }
+
+
+def _width_json(width: Finding) -> dict[str, Any]:
+    return {
+        "lane": width.subject,
+        "width_m": round(width.value, 4),
+        "sigma_m": round(width.sigma, 4),
+        "stated_ft": stated_width(width),
+        "stated": f"a width it has there with a probability of {CERTAIN:.0%}, rounded down",
+    }
