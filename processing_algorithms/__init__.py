@@ -8,10 +8,12 @@ from processing_algorithms.measure.accuracy import Accuracy
 from processing_algorithms.measure.accuracy_table import AccuracyTable
 from processing_algorithms.measure.assets import Assets
 from processing_algorithms.measure.control import ControlPoints
+from processing_algorithms.measure.error_budget import ErrorBudget
 from processing_algorithms.measure.intersect import Intersect
 from processing_algorithms.measure.locate import Locate
 from processing_algorithms.measure.measure_lines import MeasureLines
 from processing_algorithms.measure.measure_photo import MeasurePhoto
+from processing_algorithms.measure.plan_flight import PlanFlight
 from processing_algorithms.measure.report import Report
 from processing_algorithms.measure.screen_work_zone import ScreenWorkZone
 from processing_algorithms.measure.where_to_click import WhereToClick
@@ -68,4 +70,6 @@ ALGORITHMS = (
     Assets,
     ScreenWorkZone,
     Wzdx,
+    ErrorBudget,
+    PlanFlight,
 )
