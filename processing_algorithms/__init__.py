@@ -14,8 +14,11 @@ from processing_algorithms.measure.locate import Locate
 from processing_algorithms.measure.measure_lines import MeasureLines
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.measure.plan_flight import PlanFlight
+from processing_algorithms.measure.profile import ProfileTool
 from processing_algorithms.measure.report import Report
 from processing_algorithms.measure.screen_work_zone import ScreenWorkZone
+from processing_algorithms.measure.surface import SurfaceTool
+from processing_algorithms.measure.volume import VolumeTool
 from processing_algorithms.measure.where_to_click import WhereToClick
 from processing_algorithms.measure.who_sees import WhoSees
 from processing_algorithms.measure.wzdx import Wzdx
@@ -70,6 +73,9 @@ ALGORITHMS = (
     Assets,
     ScreenWorkZone,
     Wzdx,
+    SurfaceTool,
+    ProfileTool,
+    VolumeTool,
     ErrorBudget,
     PlanFlight,
 )

@@ -1,0 +1,186 @@
+"""Tool `surface`: the ground or the adjusted points as GeoTIFF with sigma, and as LAS."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, check_cancelled
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.measure.surface_field import HeightField
+    from georef_gis.measure.surface_raster import HeightReference
+    from georef_gis.model.grid import Grid
+    from georef_gis.project import Project
+    from processing_algorithms.site import Site
+
+RASTER, POINTS = "surface.tif", "points.las"
+# cells that a raster may have
+MOST_CELLS = 4_000_000_000
+
+
+class SurfaceParameters(p.Parameters):
+    """Parameters of `surface`."""
+
+    of: Literal["ground", "points"] = p.choice(
+        "ground", title="Surface",
+        help="ground: what the photos are laid on, smooth; points: the adjusted points, flat "
+        "triangles between them, with what stands on the ground",
+    )  # fmt: skip
+    heights: Literal["orthometric", "ellipsoidal"] = p.choice(
+        "orthometric", title="Heights", help="above the geoid of [gnss] geoid, or the ellipsoid"
+    )
+    cell: p.Length | None = p.length(
+        None, title="Side of a cell on the ground; by default half of what the surface holds", gt=0
+    )
+    las: p.Flag = p.flag(True, title="Adjusted points as LAS")
+
+
+class SurfaceTool(Algorithm[SurfaceParameters]):
+    """The surface as GeoTIFF, heights with their sigma, and the adjusted points as LAS 1.4.
+
+    The second band is one sigma of the height, what all heights share included. It is no dense
+    surface model: between adjusted points, metres apart, it is what joins them; trees and roofs are
+    in it as far as points lie on them.
+    """
+
+    id, name, group = "surface", "Surface", "measure"
+    needs = ("footprints",)
+    wants = ("adjusted",)
+    uses_quick = True
+    outputs = (
+        Output(name="surface", title="Height and sigma", type="RasterLayer"),
+        Output(name="points", title="Adjusted points as LAS"),
+    )
+
+    def run(self, context: Context, parameters: SurfaceParameters, feedback: Feedback) -> Result:
+        """Write them."""
+        from georef_gis.measure.surface_raster import HeightReference
+        from processing_algorithms.measure.surface_source import project_field
+        from processing_algorithms.site import load_site
+
+        project = context.require_project()
+        site = load_site(project, quick=context.quick)
+        field = project_field(project, parameters.of, quick=context.quick)
+        reference = HeightReference(kind=parameters.heights, geoid=project.settings.gnss.geoid)
+        project.products.mkdir(parents=True, exist_ok=True)
+        grid, cover = _grid(project, site.frame, field, parameters.cell)
+        path = project.products / RASTER
+        cells = _write(path, field, grid, (site.frame, reference, cover), feedback)
+        outputs = {"surface": path}
+        summary: dict[str, Any] = {
+            "of": field.name,
+            "heights": reference.told,
+            "cell_m": round(grid.pixel * site.gsd_unit, 4),
+            "cells": cells,
+            "area_m2": round(cells * (grid.pixel * site.gsd_unit) ** 2, 1),
+            "sigma_common_m": round(field.common, 4),
+        }
+        if math.isfinite(field.spacing):
+            summary["point_spacing_m"] = round(field.spacing, 3)
+        if parameters.las and (project.adjustment / "points.npz").exists():
+            outputs["points"] = project.products / POINTS
+            summary["points"] = _write_las(outputs["points"], project, site, reference)
+        products = [str(path) for path in outputs.values()]
+        return Result(outputs=outputs, summary={"products": products, **summary})
+
+
+def _grid(
+    project: Project, frame: MapFrame, field: HeightField, cell: float | None
+) -> tuple[Grid, Any]:
+    """Grid over the footprints, and their union, in units of the map.
+
+    Raises
+    ------
+    InputError
+        If so fine a cell makes too many.
+    """
+    import shapely
+
+    from georef_gis.errors import InputError
+    from georef_gis.geodesy import metres_per_unit
+    from georef_gis.model.grid import Grid
+    from processing_algorithms.site import load_footprints
+
+    rings = [shapely.Polygon(f.ring_map) for f in load_footprints(project).values()]
+    cover = shapely.union_all([shapely.make_valid(ring) for ring in rings])
+    wanted = cell or _nice(max(field.detail, 0.01))
+    unit = metres_per_unit(frame.horizontal)
+    x0, y0, x1, y1 = shapely.bounds(cover)
+    count = (x1 - x0) * (y1 - y0) * (unit / wanted) ** 2
+    if count > MOST_CELLS:
+        raise InputError(f"{wanted:g} m makes {count:.1e} cells; give a longer one", field="cell")
+    grid = Grid.over(
+        (float(x0), float(y0), float(x1), float(y1)), pixel=wanted / unit,
+        crs_wkt=frame.horizontal.to_wkt(),
+    )  # fmt: skip
+    return grid, cover
+
+
+def _nice(length: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above a length."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return max(k * power for k in (1.0, 2.0, 5.0) if k * power <= length * (1.0 + 1e-9))
+
+
+def _write(
+    path: Path, field: HeightField, grid: Grid, place: tuple[MapFrame, HeightReference, Any],
+    feedback: Feedback,
+) -> int:  # fmt: skip
+    """Write the raster; how many cells have a height."""
+    from georef_gis.measure.surface_raster import surface_profile, surface_tiles
+    from georef_gis.rasters.writer import TiledWriter
+
+    frame, reference, cover = place
+
+    def tell(share: float) -> None:
+        check_cancelled(feedback)
+        feedback.progress(share, "surface")
+
+    count = 0
+    with TiledWriter(path, surface_profile(grid, frame, reference, field)) as writer:
+        for row, col, values, known in surface_tiles(
+            field, grid, frame, reference, cover, tell=tell
+        ):
+            writer.write_tile(row, col, values, known)
+            count += int(known.sum())
+    return count
+
+
+def _write_las(path: Path, project: Project, site: Site, reference: HeightReference) -> int:
+    """Write the adjusted points; how many there are."""
+    import numpy as np
+
+    from georef_gis.geodesy import parse_crs
+    from georef_gis.measure.ellipses import on_map
+    from georef_gis.measure.surface_las import Extra, write_las
+    from georef_gis.rasters.files import export_errors, whole_file
+    from processing_algorithms.measure.surface_source import block_level, load_adjusted_points
+
+    points = load_adjusted_points(project)
+    good = np.isfinite(points.p_enu).all(axis=1) & np.isfinite(points.covariance).all(axis=(1, 2))
+    p_enu, covariance = points.p_enu[good], points.covariance[good]
+    p_map = site.frame.map_from_enu(p_enu)
+    # heights of products are above the ellipsoid of the positions
+    above = site.frame.origin.geo_from_enu(p_enu)[:, 2]
+    p_map[:, 2] = reference.from_ellipsoidal(site.frame, p_map[:, :2], above)
+    variance = np.einsum("kii->ki", on_map(site.frame, p_enu, covariance))
+    variance[:, 2] += block_level(site) ** 2
+    sigma = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
+    extras = [
+        Extra(name="sigma_e", values=sigma[:, 0], told="one sigma, grid east, m"),
+        Extra(name="sigma_n", values=sigma[:, 1], told="one sigma, grid north, m"),
+        Extra(name="sigma_u", values=sigma[:, 2], told="one sigma of the height, m"),
+        Extra(name="rays", values=points.rays[good].astype(np.uint16), told="photos that see it"),
+        Extra(
+            name="residual", values=points.residual_px[good].astype(np.float32),
+            told="rms of its pixels, px",
+        ),
+    ]  # fmt: skip
+    wkt = parse_crs(reference.crs_wkt(site.frame.horizontal)).to_wkt("WKT1_GDAL")
+    with export_errors(path, lambda: 60 * len(p_map)), whole_file(path) as stream:
+        write_las(stream, p_map, crs_wkt=wkt, extras=extras)
+    return len(p_map)
