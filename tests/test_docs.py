@@ -17,7 +17,7 @@ def test_commands_of_the_readme_exist() -> None:
     from georef_gis.toolbox.registry import load_registry
 
     registry = load_registry()
-    known = {registry.command(tool) for tool in registry} | {"run", "tools", "doctor"}
+    known = {registry.command(tool) for tool in registry} | {"run", "serve", "tools", "doctor"}
     # a command of two words, such as `georef sync-board record`
     known |= {tool.algorithm.command[0] for tool in registry if tool.algorithm.command}
     readme = (ROOT / "README.md").read_text("utf-8")

@@ -2,38 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
-import logging
 import sys
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from georef_gis import __version__
-from georef_gis.app.feedback import JsonFeedback, PlainFeedback, Stop, make_feedback
-from georef_gis.errors import Cancelled, GeorefError, InputError
+from georef_gis.app.facing import (
+    CANCELLED,
+    DONE,
+    USER_ERROR,
+    Face,
+    face_options,
+    facing,
+    fail,
+)
+from georef_gis.app.feedback import JsonFeedback, PlainFeedback
+from georef_gis.app.serve import serve
+from georef_gis.errors import GeorefError, InputError
 
 if TYPE_CHECKING:
     from georef_gis.toolbox.registry import Registry, Tool
     from georef_gis.toolbox.runner import RunOptions, StepReport
     from georef_gis.toolbox.specs import Spec
 
-DONE, BUG, USER_ERROR, CANCELLED = 0, 1, 2, 130
-BUILT_IN = ("run", "tools", "doctor")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Face:
-    """How a command talks: the options every command has."""
-
-    as_json: bool
-    verbose: int
+BUILT_IN = ("run", "serve", "tools", "doctor")
 
 
 class Tools(click.Group):
@@ -57,13 +54,13 @@ class Tools(click.Group):
             sys.exit(super().main(*args, **kwargs) or DONE)
         except click.UsageError as error:
             path = error.ctx.command_path if error.ctx else "georef"
-            _fail(f"{error.format_message().rstrip('.')}; see `{path} --help`", USER_ERROR)
+            fail(f"{error.format_message().rstrip('.')}; see `{path} --help`", USER_ERROR)
         except GeorefError as error:
-            _fail(str(error), USER_ERROR)
+            fail(str(error), USER_ERROR)
         except click.ClickException as error:
-            _fail(error.format_message(), USER_ERROR)
+            fail(error.format_message(), USER_ERROR)
         except click.Abort:
-            _fail("cancelled", CANCELLED)
+            fail("cancelled", CANCELLED)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the tools by group."""
@@ -102,16 +99,6 @@ def georef(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-def face_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that every command has."""
-    function = click.option("--json", "as_json", is_flag=True, help="Talk in lines of JSON.")(
-        function
-    )
-    return click.option("-v", "--verbose", count=True, help="Say more; -vv for developers.")(
-        function
-    )
-
-
 @georef.command(short_help="Make the products: all steps that are not up to date.")
 @click.argument("project", default=".", type=click.Path(path_type=Path))
 @click.option("--quick", is_flag=True, help="A first answer, from the poses alone.")
@@ -135,7 +122,7 @@ def run(project: Path, as_json: bool, verbose: int, values: tuple[str, ...], **w
     Steps whose inputs, settings and products did not change are skipped.
     """
     face = Face(as_json=as_json, verbose=verbose)
-    with _facing(face) as feedback:
+    with facing(face) as feedback:
         from georef_gis.app.report import report_event, run_lines
         from georef_gis.project import Project
         from georef_gis.toolbox.runner import run_pipeline
@@ -155,7 +142,7 @@ def run(project: Path, as_json: bool, verbose: int, values: tuple[str, ...], **w
 @click.option("--json", "as_json", is_flag=True, help="The manifest: every tool with its form.")
 def tools(as_json: bool) -> None:
     """List the tools, with the steps of `georef run` marked by a star."""
-    with _facing(Face(as_json=as_json, verbose=0)):
+    with facing(Face(as_json=as_json, verbose=0)):
         registry = _registry()
         if as_json:
             from georef_gis.toolbox.algorithm import manifest
@@ -178,7 +165,7 @@ def doctor(folder: Path, as_json: bool, verbose: int) -> None:
 
     FOLDER is where a project would be. Exit code 2 if something would keep work from being done.
     """
-    with _facing(Face(as_json=as_json, verbose=verbose)):
+    with facing(Face(as_json=as_json, verbose=verbose)):
         from georef_gis.app.doctor import examine
 
         findings = examine(_registry(), folder)
@@ -189,6 +176,9 @@ def doctor(folder: Path, as_json: bool, verbose: int) -> None:
                 click.echo(finding.line())
         if any(finding.state == "bad" for finding in findings):
             sys.exit(USER_ERROR)
+
+
+georef.add_command(serve)
 
 
 def command_words(tool: Tool) -> tuple[str, ...]:
@@ -269,7 +259,7 @@ def tool_command(tool: Tool) -> click.Command:
 
 def _run_tool(tool: Tool, specs: Sequence[Spec], values: dict[str, Any]) -> None:
     face = Face(as_json=values["_json"], verbose=values["_verbose"])
-    with _facing(face) as feedback:
+    with facing(face) as feedback:
         from georef_gis.app.report import report_event, tool_lines
         from georef_gis.project import Project
         from georef_gis.toolbox.runner import run_tool
@@ -347,51 +337,6 @@ def _finish(feedback: PlainFeedback, events: list[dict[str, Any]], lines: list[s
     feedback.__exit__()
     for line in lines:
         click.echo(line)
-
-
-@contextlib.contextmanager
-def _facing(face: Face) -> Iterator[PlainFeedback]:
-    """Give feedback to the work inside, and turn its errors into messages and exit codes."""
-    _start_logging(face.verbose)
-    stop = Stop()
-    feedback = make_feedback(as_json=face.as_json, stop=stop)
-    try:
-        with stop.listening(), feedback:
-            yield feedback
-    except (click.exceptions.Exit, click.ClickException, click.Abort):
-        raise
-    except (Cancelled, KeyboardInterrupt):
-        _say(feedback, "cancelled", CANCELLED)
-    except GeorefError as error:
-        _say(feedback, str(error), USER_ERROR)
-    except BrokenPipeError:
-        sys.exit(DONE)
-    except Exception as error:
-        if face.verbose:
-            traceback.print_exc()
-        hint = "" if face.verbose else "; run again with -v for the details and report it"
-        _say(feedback, f"this is a bug in georef: {type(error).__name__}: {error}{hint}", BUG)
-
-
-def _say(feedback: PlainFeedback, message: str, code: int) -> NoReturn:
-    if isinstance(feedback, JsonFeedback):
-        feedback.event("error", message=" ".join(message.split()), exit_code=code)
-    _fail(message, code)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    click.echo(f"georef: {' '.join(message.split())}", err=True)
-    sys.exit(code)
-
-
-def _start_logging(verbose: int) -> None:
-    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
-    logger = logging.getLogger("georef_gis")
-    logger.setLevel(level)
-    if not any(isinstance(handler, logging.StreamHandler) for handler in logger.handlers):
-        handler = logging.StreamHandler()
-        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-        logger.addHandler(handler)
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -46,7 +47,7 @@ class Finding:
 
 def examine(registry: Registry, folder: Path) -> list[Finding]:
     """Look at everything."""
-    return [*_versions(), *_data(), *_plugins(registry), *_machine(folder)]
+    return [*_versions(), *_data(), *_plugins(registry), *_page(), *_machine(folder)]
 
 
 def _versions() -> Iterator[Finding]:
@@ -88,6 +89,19 @@ def _plugins(registry: Registry) -> Iterator[Finding]:
         yield Finding(subject=f"plug-in {provider}", state="ok", message=message)
     for error in registry.refused:
         yield Finding(subject="plug-in refused", state="doubtful", message=str(error))
+
+
+def _page() -> Iterator[Finding]:
+    """What `georef serve` needs, and the browser that its tests look at it with."""
+    try:
+        message = ", ".join(f"{name} {version(name)}" for name in ("fastapi", "uvicorn"))
+    except PackageNotFoundError as error:
+        message = f'{error.name} is not installed; pip install "georef-gis[web]"'
+    yield Finding(subject="page (georef serve)", state="ok", message=message)
+    if find_spec("playwright") is not None:
+        found = shutil.which("chromium") or shutil.which("google-chrome")
+        message = found or "not there: the page is not tested in a browser"
+        yield Finding(subject="chromium", state="ok", message=message)
 
 
 def _machine(folder: Path) -> Iterator[Finding]:

@@ -155,20 +155,20 @@ class JsonFeedback(PlainFeedback):
 
     def event(self, event: str, **content: Any) -> None:
         """Write an event of any kind."""
-        print(json.dumps(_plain({"event": event, **content})), flush=True)
+        print(json.dumps(plain({"event": event, **content})), flush=True)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """What JSON can hold: a missing number is null, as NaN is no JSON."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
         return value
-    return _plain(value.item()) if hasattr(value, "item") else str(value)
+    return plain(value.item()) if hasattr(value, "item") else str(value)
 
 
 def make_feedback(*, as_json: bool, stop: Stop) -> PlainFeedback:

@@ -1,0 +1,1 @@
+"""The page: `georef serve`, on this machine only."""
