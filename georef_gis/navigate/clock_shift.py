@@ -9,7 +9,8 @@ import numpy as np
 from georef_gis.errors import NavigationError
 from georef_gis.frames import Array, R_ned_from_body, log_so3
 from georef_gis.model.logs import TrajectoryLog
-from georef_gis.navigate.resample import metres_per_radian, transposed
+from georef_gis.model.trajectory_values import metres_per_radian
+from georef_gis.navigate.resample import transposed
 
 # Rows of the estimate that are looked at; more add nothing.
 _ROWS = 20000

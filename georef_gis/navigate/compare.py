@@ -16,15 +16,9 @@ from numpy.typing import NDArray
 from georef_gis.errors import InputError, NavigationError
 from georef_gis.frames import Array, R_ned_from_body, exp_so3, log_so3, rpy_from_R_ned_from_body
 from georef_gis.model.logs import TrajectoryLog, unknown
+from georef_gis.model.trajectory_values import metres_per_radian, sigma_rpy_of
 from georef_gis.navigate.clock_shift import find_shift
-from georef_gis.navigate.resample import (
-    at_times,
-    in_order,
-    metres_per_radian,
-    rows,
-    sigma_rpy_of,
-    transposed,
-)
+from georef_gis.navigate.resample import at_times, in_order, rows, transposed
 
 # s over which the course is averaged before its rate is taken
 _COURSE_WINDOW = 2.0

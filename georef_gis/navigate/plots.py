@@ -1,43 +1,38 @@
-"""Pictures of trajectories and of their differences, as the two source reports draw them.
+"""Pictures of two trajectories and their differences, as the two source reports draw them.
 
-Figures 13 to 15 of the 2009 report (attitude, height) and 16 to 18 of the 2012 paper (plan,
-errors of position and attitude), and the innovations of a filter. Every function gives a
-`matplotlib.figure.Figure`, which `plot_parts.png` turns into the bytes of a file.
+Figures 13 and 14 of the 2009 report (attitude) and 16 to 18 of the 2012 paper (plan, errors of
+position and attitude), and the innovations of a filter. Every function gives a
+`matplotlib.figure.Figure`, which `model.plot_parts.png` turns into the bytes of a file; those of
+one trajectory are in `model.trajectory_plots`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from georef_gis.errors import NavigationError
-from georef_gis.navigate.plot_parts import (
+from georef_gis.model.plot_parts import (
     BLACK,
     BLUE,
-    BY_NAME,
     ESTIMATE,
-    FILTER,
     GREEN,
-    GREY,
     MOST_POINTS,
     ORANGE,
     REFERENCE,
-    SMOOTH,
     broken_at_wrap,
     draw_band,
     draw_line,
     error_figure,
     finish,
-    fit_lines,
     keep_in_view,
-    local_places,
     png,
     stacked,
     with_grid,
 )
-from georef_gis.navigate.resample import sigma_rpy_of
+from georef_gis.model.trajectory_plots import position_figure
+from georef_gis.model.trajectory_values import local_places
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -66,58 +61,6 @@ def attitude_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-def position_figure(
-    series: Mapping[str, TrajectoryLog], *, zoom: tuple[float, float] | None = None
-) -> Figure:
-    """North, east and height of several trajectories over time, and a part of the height closer.
-
-    As the 2009 report's Fig. 15: the raw fixes jump, the filter's path may step at fixes, the
-    smoother's does not.
-
-    Parameters
-    ----------
-    series
-        Trajectories by name, drawn in this order; "raw fixes" as dots.
-    zoom
-        s since the start of the closer part; None: 20 s around the middle.
-    """
-    logs = list(series.values())
-    if not logs:
-        raise NavigationError("nothing to draw; give one trajectory or more")
-    begin = min(float(log.time[0]) for log in logs)
-    end = max(float(log.time[-1]) for log in logs)
-    middle = 0.5 * (end - begin)
-    low, high = zoom or (max(0.0, middle - 10.0), min(end - begin, middle + 10.0))
-    figure, axes = stacked(4, height=10.5, title="Position", shared=False)
-    base = logs[0]
-    lines: list[Array] = []
-    spare = iter((ESTIMATE, SMOOTH, FILTER, REFERENCE) * len(series))
-    for name, log in series.items():
-        style: dict[str, Any] = {**(BY_NAME.get(name) or next(spare)), "label": name}
-        t, rows = log.time - begin, local_places(log, base)
-        for axis, values in zip(axes[:3], rows, strict=True):
-            draw_line(axis, t, values, style)
-        near = (t >= low) & (t <= high)
-        larger = {"markersize": 6} if "markersize" in style else {}
-        draw_line(axes[3], t[near], rows[2][near], {**style, **larger})
-        if not larger:
-            lines.append(rows[2][near])
-    for axis, label in zip(
-        axes, ("North (m)", "East (m)", "Height (m)", "Height (m)"), strict=True
-    ):
-        axis.set_ylabel(label)
-    for axis in axes[:3]:
-        axis.set_xlim(0.0, end - begin)
-        axis.axvspan(low, high, color=GREY, alpha=0.18, linewidth=0)
-    axes[3].set_xlim(low, high)
-    axes[3].set_title(
-        "Height within the grey band; fixes may lie outside the view", fontsize=9, loc="left"
-    )
-    fit_lines(axes[3], lines)
-    finish(figure, axes)
-    return figure
-
-
 def plan_figure(comparison: Comparison) -> Figure:
     """Both trajectories from above (2012 paper, Fig. 16)."""
     from matplotlib.figure import Figure
@@ -142,26 +85,6 @@ def plan_figure(comparison: Comparison) -> Figure:
     axis.set(xlabel="East (m)", ylabel="North (m)")
     with_grid(axis)
     finish(figure, [axis], title="Plan view", time=False)
-    return figure
-
-
-def single_attitude_figure(log: TrajectoryLog) -> Figure:
-    """Roll, pitch and yaw of one trajectory, with the largest sigma of each."""
-    t = log.time - log.time[0]
-    sigma = np.degrees(sigma_rpy_of(log))
-    figure, axes = stacked(3, height=8.0, title="Attitude")
-    for i, (axis, name) in enumerate(zip(axes, ("Roll", "Pitch", "Yaw"), strict=True)):
-        angle = np.degrees(log.rpy[:, i])
-        if i == 2:
-            axis.plot(*broken_at_wrap(t, angle), **{**ESTIMATE, "label": "smoothed"})
-            axis.set_ylim(0, 360)
-            axis.set_yticks(range(0, 361, 90))
-        else:
-            draw_line(axis, t, angle, {**ESTIMATE, "label": "smoothed"})
-        worst = float(np.nanmax(sigma[:, i])) if np.isfinite(sigma[:, i]).any() else np.nan
-        axis.set_ylabel(f"{name} (deg)")
-        axis.set_title(f"largest sigma {worst:.2g} deg", loc="right", fontsize=9)
-    finish(figure, axes)
     return figure
 
 

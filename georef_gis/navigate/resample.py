@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from georef_gis.ellipsoid import meridian_radius, prime_vertical_radius
 from georef_gis.errors import CrsError
 from georef_gis.frames import (
     Array,
@@ -17,7 +16,6 @@ from georef_gis.frames import (
     exp_so3,
     log_so3,
     rpy_from_R_ned_from_body,
-    sigma_rpy_from_covariance_theta_ned,
 )
 from georef_gis.geodesy import HeightKind, geoid_undulation
 from georef_gis.model.logs import (
@@ -27,6 +25,7 @@ from georef_gis.model.logs import (
     TrajectoryLog,
     unknown,
 )
+from georef_gis.model.trajectory_values import metres_per_radian
 
 # s without rows beyond which nothing is interpolated, where rows are usually denser than that
 LONGEST_GAP = 1.0
@@ -194,12 +193,6 @@ def _geo_rates(log: TrajectoryLog, geo: Array) -> Array:
     return np.where(np.isfinite(stated), stated, np.gradient(geo, log.time, axis=0))
 
 
-def metres_per_radian(lat: Array, height: Array) -> tuple[Array, Array]:
-    """Length of a radian of latitude and of longitude at a place, m."""
-    north = meridian_radius(lat) + height
-    return north, np.asarray((prime_vertical_radius(lat) + height) * np.cos(lat))
-
-
 def _turned(rpy: Array, at: NDArray[np.int64], part: Array) -> Array:
     R = R_ned_from_body(*rpy.T)
     if not np.any(np.isfinite(R)):
@@ -214,8 +207,3 @@ def _turned(rpy: Array, at: NDArray[np.int64], part: Array) -> Array:
 def transposed(R: Array) -> Array:
     """Matrices with their last two axes swapped."""
     return np.swapaxes(R, -1, -2)
-
-
-def sigma_rpy_of(log: TrajectoryLog) -> Array:
-    """Sigmas of roll, pitch and yaw, rad; shape (n, 3), NaN where unknown or pitch is vertical."""
-    return sigma_rpy_from_covariance_theta_ned(log.rpy, log.covariance[:, 3:, 3:])

@@ -10,64 +10,149 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, che
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
+    from georef_gis.measure.report.build import Beside
     from georef_gis.measure.report.facts import Facts, Heights
+    from georef_gis.measure.report.page import Section
+    from georef_gis.project import Project
     from processing_algorithms.site import Site
 
-REPORT = "report.html"
+REPORT, PDF = "report.html", "report.pdf"
 # cells along the longer side of the picture of the relief
 RELIEF_CELLS = 420
 
 
-class Report(Algorithm[p.Parameters]):
-    """One HTML page of the project: map, overlap, ties, residuals, camera, ground, accuracy.
+class ReportParameters(p.Parameters):
+    """Parameters of `report`."""
+
+    pdf: p.Flag = p.flag(
+        False,
+        title="Write products/report.pdf too",
+        help='needs reportlab: pip install "georef-gis[pdf]"',
+    )
+
+
+class Report(Algorithm[ReportParameters]):
+    """One HTML page of the project, and a PDF: flight, overlap, residuals, accuracy, assets.
 
     The page needs no network and no other file, and prints. Each figure says what to look for and
     what was found; what asks for a look stands at the top.
     """
 
     id, name, group = "report", "Report page", "measure"
-    outputs = (Output(name="report", title="Report page"),)
+    version = "2"
+    outputs = (
+        Output(name="report", title="Report page"),
+        Output(name="pdf", title="The same as PDF"),
+    )
     needs, gives = ("footprints",), ("report",)
-    wants = ("adjusted", "mosaic", "orthos", "control", "accuracy")
+    wants = ("trajectory", "adjusted", "mosaic", "orthos", "control", "accuracy")
     in_run = True
     uses_quick = True
-    uses_settings = ("project", "ground")
 
-    def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
-        """What the adjustment and the products left as files."""
+    def inputs(self, context: Context, parameters: ReportParameters) -> Sequence[Path]:
+        """What the adjustment and the products left as files, and the assets."""
         project = context.require_project()
         names = ("report.json", "residuals.npz", "points.npz", "matches.json", "surface.npz")
         files = [project.adjustment / name for name in names] if not context.quick else []
         files += [project.products / n for n in ("overlap.tif", "mosaic.tif", "accuracy.json")]
+        files += [project.folder / "assets.gpkg", project.navigation / "trajectory.csv"]
         return [path for path in files if path.is_file()]
 
-    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+    def run(self, context: Context, parameters: ReportParameters, feedback: Feedback) -> Result:
         """Read, draw, write."""
         from georef_gis.measure.report.build import report_page, report_sections
         from georef_gis.measure.report.facts import read_facts
         from georef_gis.measure.report.page import count_verdicts
-        from georef_gis.rasters.files import export_errors, whole_file
         from processing_algorithms.site import load_site
 
         project = context.require_project()
+        if parameters.pdf:
+            _require_pdf()
         facts = read_facts(project, quick=context.quick)
         for line in facts.missing:
             feedback.warn(line)
-        heights = _heights(load_site(project, quick=context.quick), facts)
+        site = load_site(project, quick=context.quick)
+        heights = _heights(site, facts)
+        beside = _beside(project, site, facts, feedback, quick=context.quick)
 
         def told(share: float, what: str) -> None:
             check_cancelled(feedback)
-            feedback.progress(0.1 + 0.85 * share, what)
+            feedback.progress(0.3 + (0.4 if parameters.pdf else 0.65) * share, what)
 
-        sections = report_sections(facts, heights, told)
+        sections = report_sections(facts, heights, told, beside)
         page = report_page(facts, sections, made=_now(), versions=_versions())
-        content = page.encode("utf-8")
         target = project.products / REPORT
-        with export_errors(target, lambda: len(content)), whole_file(target) as stream:
-            stream.write(content)
+        # a name that is no text must not cost the page
+        size = _write(target, page.encode("utf-8", "replace"))
+        outputs = {"report": target}
         summary: dict[str, Any] = {"products": [str(target)], **count_verdicts(sections)}
-        summary["size_kb"] = round(len(content) / 1024)
-        return Result(outputs={"report": target}, summary=summary)
+        summary["size_kb"] = round(size / 1024)
+        if parameters.pdf:
+            outputs["pdf"], found = _pdf(project, facts, sections, feedback)
+            summary["products"].append(str(outputs["pdf"]))
+            summary |= found
+        return Result(outputs=outputs, summary=summary)
+
+
+def _beside(
+    project: Project, site: Site, facts: Facts, feedback: Feedback, *, quick: bool
+) -> Beside:
+    from georef_gis.measure.report.build import Beside
+    from processing_algorithms.measure.report_flight import flown
+    from processing_algorithms.measure.report_parts import assets_of, budget_of, made_by
+
+    feedback.progress(0.05, "flight")
+    flight = flown(project, facts, quick=quick)
+    check_cancelled(feedback)
+    feedback.progress(0.15, "error budget")
+    budget, no_budget = budget_of(project, site)
+    check_cancelled(feedback)
+    feedback.progress(0.25, "assets")
+    assets, no_assets = assets_of(project)
+    for line in filter(None, (no_budget, no_assets)):
+        feedback.warn(line)
+    return Beside(
+        flown=flight, budget=budget, no_budget=no_budget, assets=assets, no_assets=no_assets,
+        made=made_by(project, facts),
+    )  # fmt: skip
+
+
+def _write(target: Path, content: bytes) -> int:
+    """Write a file whole or not at all; bytes."""
+    from georef_gis.rasters.files import export_errors, whole_file
+
+    with export_errors(target, lambda: len(content)), whole_file(target) as stream:
+        stream.write(content)
+    return len(content)
+
+
+def _require_pdf() -> None:
+    from importlib.util import find_spec
+
+    from georef_gis.errors import InputError
+
+    if find_spec("reportlab") is None:
+        raise InputError(
+            'a PDF needs reportlab, which is not installed; pip install "georef-gis[pdf]"',
+            field="pdf",
+        )
+
+
+def _pdf(
+    project: Project, facts: Facts, sections: list[Section], feedback: Feedback
+) -> tuple[Path, dict[str, Any]]:
+    from georef_gis.measure.report.build import report_pdf
+
+    feedback.progress(0.75, "pdf")
+    pdf = report_pdf(facts, sections, made=_now(), versions=_versions())
+    if pdf.missing:
+        feedback.warn(
+            f"the PDF shows {len(pdf.missing)} characters as boxes, as no font here has them: "
+            f"{' '.join(pdf.missing[:12])}; the HTML page shows them"
+        )
+    target = project.products / PDF
+    size = _write(target, pdf.content)
+    return target, {"pdf_pages": pdf.pages, "pdf_size_kb": round(size / 1024)}
 
 
 def _heights(site: Site, facts: Facts) -> Heights | None:

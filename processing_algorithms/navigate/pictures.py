@@ -33,15 +33,15 @@ def write_pictures(
     folder: Path, log: TrajectoryLog, logs: FlightLogs, trajectory: Trajectory
 ) -> list[Path]:
     """Write the pictures of a flight into a folder and give their paths."""
-    from georef_gis.navigate.plot_parts import png
-    from georef_gis.navigate.plots import position_figure, single_attitude_figure
+    from georef_gis.model.plot_parts import png
+    from georef_gis.model.trajectory_plots import attitude_over_time, position_figure
     from georef_gis.navigate.resample import in_order, trajectory_of_gnss
 
     series = {"smoothed": log}
     if logs.gnss is not None:
         series = {"raw fixes": in_order(trajectory_of_gnss(logs.gnss)), **series}
     drawn = (
-        png(single_attitude_figure(log)), png(position_figure(series)), _innovations(trajectory),
+        png(attitude_over_time(log)), png(position_figure(series)), _innovations(trajectory),
     )  # fmt: skip
     pictures = {name: data for name, data in zip(NAMES, drawn, strict=True) if data is not None}
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +56,7 @@ def write_pictures(
 
 def _innovations(trajectory: Any) -> bytes | None:
     """Normalised innovations of an inertial trajectory; None for the other kinds."""
-    from georef_gis.navigate.plot_parts import png
+    from georef_gis.model.plot_parts import png
     from georef_gis.navigate.plots import nis_figure
     from georef_gis.navigate.trajectory import InertialTrajectory
 

@@ -124,6 +124,10 @@ def test_what_is_not_there_is_said_plainly() -> None:
         "There is no accuracy statement",
         "no mosaic was made",
         "There is no overlap map",
+        "There is no error budget",
+        "Nothing was mapped yet",
+        "nothing was doubtful",
+        "poses of the photos: no log",
     ):
         assert said in text, said
 
@@ -143,13 +147,13 @@ def test_one_and_two_photos_give_a_page(facts_of: Callable[[int], Facts], photos
 
 
 @pytest.mark.slow
-def test_167_photos_stay_below_8_mb_and_20_s() -> None:
-    start = time.perf_counter()
+def test_167_photos_stay_below_5_mb_and_20_s() -> None:
+    start = time.process_time()
     text = page_of(adjusted_facts(167, each=3000))
-    # 20 s: twice what 18 photos may take
-    assert time.perf_counter() - start < 20.0
-    assert len(text.encode()) < 8e6
-    assert len([s for s in report_sections(adjusted_facts(), None) if s.items]) == 9
+    # 20 s of the processor: twice what 18 photos may take
+    assert time.process_time() - start < 20.0
+    assert len(text.encode()) < 5e6
+    assert len([s for s in report_sections(adjusted_facts(), None) if s.items]) == 13
 
 
 def test_pictures_are_embedded_as_what_they_are() -> None:

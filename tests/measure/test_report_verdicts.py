@@ -23,10 +23,11 @@ from georef_gis.measure.report.camera_section import (
     observability_items,
 )
 from georef_gis.measure.report.control_section import accuracy_items, control_items, normalised
+from georef_gis.measure.report.doubts_section import doubt_items
 from georef_gis.measure.report.draw import metres, number, round_length
 from georef_gis.measure.report.facts import Accuracy, Facts, Heights
 from georef_gis.measure.report.ground_section import ground_items, hillshade
-from georef_gis.measure.report.page import Item, Lines, Picture, Table, Text, Verdict
+from georef_gis.measure.report.page import Item, Picture, Table, Text, Verdict
 from georef_gis.measure.report.residual_pictures import (
     by_photo,
     by_place,
@@ -210,12 +211,19 @@ def test_doubtful_photos_and_failed_runs_are_told() -> None:
     facts = project_facts(runs=runs, doubtful={"P001": ["blurred"]})
     section = summary_section(facts)
     assert verdict(section.items, "Summary").level == "bad"
-    lists = {item.title: item.lines for item in section.items if isinstance(item, Lines)}
-    assert lists["Warnings of adjust"] == ("a doubt", "a warning")
-    assert lists["Warnings of mosaic"] == ("failed: disk full",)
+    (doubts,) = doubt_items(facts, None)
+    assert isinstance(doubts, Table)
+    assert list(doubts.rows) == [
+        ("tool", "adjust", "a doubt"),
+        ("tool", "adjust", "a warning"),
+        ("tool", "mosaic", "failed: disk full"),
+        ("photo", "P001", "blurred"),
+    ]
+    assert verdict([doubts], "All doubts").level == "bad"
     (table,) = runs_items(facts, "report")
     assert isinstance(table, Table)
-    assert table.rows[0][4] == "calibrate = true"
+    assert table.rows[0][1] == "1"
+    assert table.rows[0][5] == "calibrate = true"
     assert verdict([table], "Last runs").level == "look"
 
 

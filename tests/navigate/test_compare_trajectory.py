@@ -39,6 +39,8 @@ from georef_gis.model.logs import (
     TrajectoryLog,
     unknown,
 )
+from georef_gis.model.plot_parts import png
+from georef_gis.model.trajectory_plots import position_figure
 from georef_gis.navigate.compare import (
     CompareSettings,
     compare_trajectories,
@@ -50,9 +52,7 @@ from georef_gis.navigate.plots import (
     attitude_figure,
     comparison_pictures,
     innovation_figure,
-    png,
     position_error_figure,
-    position_figure,
 )
 from georef_gis.navigate.resample import (
     at_times,

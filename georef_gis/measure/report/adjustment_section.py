@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from georef_gis.measure.report.draw import (
     with_grid,
 )
 from georef_gis.measure.report.facts import Facts
+from georef_gis.measure.report.flight_facts import in_flight_order
 from georef_gis.measure.report.not_adjusted import not_adjusted_item
 from georef_gis.measure.report.page import Item, Picture, Table, judged
 
@@ -182,7 +183,8 @@ def navigation_items(facts: Facts) -> list[Item]:
     turns = turns_of(facts)
     if len(turns) < 2:
         return []
-    order, x, label = _order(facts, list(turns))
+    order, x, by_time = in_flight_order(facts, list(turns))
+    label = "time since the first photo (s)" if by_time else "number of the photo"
     moved = np.array([facts.adjusted[k].origin_enu - facts.direct[k].origin_enu for k in order])
     turned = np.degrees([turns[k] for k in order])
     sigma = np.array([np.sqrt(np.diag(facts.direct[k].covariance)) for k in order])
@@ -223,16 +225,3 @@ def navigation_items(facts: Facts) -> list[Item]:
             verdict=judged(told, fine=bool(inside.mean() >= WITHIN), bad=bad),
         )
     ]
-
-
-def _order(facts: Facts, keys: Sequence[str]) -> tuple[list[str], Array, str]:
-    """Photos by time where all have one, else as they are; and where they stand on the axis."""
-    times = {str(row["photo_id"]): row["time_gps"] for row in facts.photos}
-    known = [times.get(key) for key in keys]
-    if any(t is None for t in known) or len(set(known)) < len(keys):
-        return list(keys), np.arange(1.0, len(keys) + 1.0), "number of the photo"
-    order = sorted(keys, key=lambda key: float(times[key]))
-    t = np.array([float(times[key]) for key in order])
-    if np.ptp(t) > 3600.0 or np.max(np.diff(t)) > 0.5 * np.ptp(t) > 0:
-        return order, np.arange(1.0, len(order) + 1.0), "photos in the order of time"
-    return order, t - t[0], "time since the first photo (s)"

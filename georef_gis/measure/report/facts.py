@@ -246,7 +246,8 @@ def _valid_footprints(project: Project) -> list[dict[str, Any]]:
     rows = project.database.rows("footprint")
     if not rows:
         raise InputError(
-            "no footprints were made yet; run `georef run`", source=str(project.database.path)
+            "no photo has a place on the ground; `georef run` makes them, or says why not",
+            source=str(project.database.path),
         )
     return rows
 

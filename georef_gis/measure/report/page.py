@@ -8,7 +8,7 @@ link, headings in order, captions and scopes of tables, wide tables that the key
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Literal
@@ -16,7 +16,7 @@ from typing import Literal
 from georef_gis.measure.report.style import STYLE
 
 Level = Literal["fine", "look", "bad", "told"]
-_SIGN = {"fine": "✓ Fine", "look": "▲ Look here", "bad": "✗ Not good", "told": "For information"}
+SIGN = {"fine": "✓ Fine", "look": "▲ Look here", "bad": "✗ Not good", "told": "For information"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +104,24 @@ class Letter:
     text: str
 
 
-Item = Picture | Table | Text | Lines | Letter
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thumbnail:
+    """A small picture, a PNG or JPEG file, and the words below it."""
+
+    data: bytes
+    caption: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gallery:
+    """Small pictures side by side."""
+
+    title: str
+    pictures: tuple[Thumbnail, ...]
+    look: str = ""
+
+
+Item = Picture | Table | Text | Lines | Letter | Gallery
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,11 +141,10 @@ def render(title: str, facts: Sequence[tuple[str, str]], sections: Sequence[Sect
     facts
         Names and values below the title.
     """
-    numbered = [(f"{s.id}-{i}", item) for s in sections for i, item in enumerate(s.items, 1)]
     body = [
         f"<h1>{escape(title)}</h1>",
         _facts(facts),
-        _findings(numbered),
+        _findings(sections),
         _contents(sections),
     ]
     for section in sections:
@@ -145,12 +161,17 @@ def render(title: str, facts: Sequence[tuple[str, str]], sections: Sequence[Sect
     )
 
 
+def verdict_of(item: Item) -> Verdict | None:
+    """What was found in an item; None for those that are not judged."""
+    return item.verdict if isinstance(item, Picture | Table | Text) else None
+
+
 def count_verdicts(sections: Sequence[Section]) -> dict[str, int]:
     """Number of pictures and tables by what was found in them: fine, look, bad."""
     out = {"fine": 0, "look": 0, "bad": 0}
     for section in sections:
         for item in section.items:
-            verdict = item.verdict if isinstance(item, Picture | Table | Text) else None
+            verdict = verdict_of(item)
             if verdict is not None and not verdict.again and verdict.level in out:
                 out[verdict.level] += 1
     return out
@@ -166,26 +187,45 @@ def _contents(sections: Sequence[Section]) -> str:
     return f'<nav aria-label="Contents"><h2>Contents</h2><ol>{links}</ol></nav>'
 
 
-def _findings(items: Iterable[tuple[str, Item]]) -> str:
-    """What the page found, the worst after what comes first of all, with links."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """A figure or table that asks for a look; `key` is its anchor."""
+
+    key: str
+    title: str
+    verdict: Verdict
+
+
+def findings_of(sections: Sequence[Section]) -> tuple[str, list[Finding]]:
+    """What was found, in a sentence, and what asks for a look: the first, then the worst."""
     weighed = [
-        (key, item.title, item.verdict)
-        for key, item in items
-        if isinstance(item, Picture | Table | Text) and item.verdict is not None
-        if item.verdict.level != "told" and not item.verdict.again
+        Finding(key=key, title=item.title, verdict=verdict)
+        for key, item in numbered(sections)
+        if (verdict := verdict_of(item)) is not None
+        if verdict.level != "told" and not verdict.again
+        if not isinstance(item, Letter | Lines | Gallery)
     ]
-    fine = sum(v.level == "fine" for _, _, v in weighed)
+    fine = sum(one.verdict.level == "fine" for one in weighed)
     rank = {"bad": 1, "look": 2}
-    asking = [one for one in weighed if one[2].level in rank]
-    asking.sort(key=lambda one: 0 if one[2].first else rank[one[2].level])
-    lines = [
-        f'<li class="{v.level}"><span class="sign">{_SIGN[v.level]}</span> '
-        f'<a href="#{key}">{escape(title)}</a>: {escape(v.text)}</li>'
-        for key, title, v in asking
-    ]
+    asking = [one for one in weighed if one.verdict.level in rank]
+    asking.sort(key=lambda one: 0 if one.verdict.first else rank[one.verdict.level])
     told = f"{fine} of {len(weighed)} figures and tables that were judged are fine."
-    if lines:
-        told += " These ask for a look:"
+    return told + (" These ask for a look:" if asking else ""), asking
+
+
+def numbered(sections: Sequence[Section]) -> list[tuple[str, Item]]:
+    """Items with their anchors."""
+    return [(f"{s.id}-{i}", item) for s in sections for i, item in enumerate(s.items, 1)]
+
+
+def _findings(sections: Sequence[Section]) -> str:
+    """What the page found, with links."""
+    told, asking = findings_of(sections)
+    lines = [
+        f'<li class="{one.verdict.level}"><span class="sign">{SIGN[one.verdict.level]}</span> '
+        f'<a href="#{one.key}">{escape(one.title)}</a>: {escape(one.verdict.text)}</li>'
+        for one in asking
+    ]
     return (
         f'<section id="findings"><h2>Findings</h2><p>{told}</p>'
         f'<ul class="findings">{"".join(lines)}</ul></section>'
@@ -201,6 +241,8 @@ def _item(key: str, item: Item) -> str:
         return _text(key, item)
     if isinstance(item, Letter):
         return f"<h3>{escape(item.title)}</h3><pre>{escape(item.text)}</pre>"
+    if isinstance(item, Gallery):
+        return _gallery(key, item)
     shown = "".join(f"<li>{escape(line)}</li>" for line in item.lines[: item.most])
     more = len(item.lines) - item.most
     shown += f"<li>... and {more} more, in the table `run` of georef.gpkg</li>" if more > 0 else ""
@@ -221,20 +263,36 @@ def _told(look: str, verdict: Verdict | None) -> str:
     told = f"{escape(look)} " if look else ""
     if verdict is None:
         return told
-    sign = _SIGN[verdict.level]
+    sign = SIGN[verdict.level]
     return (
         f'{told}<span class="verdict {verdict.level}"><span class="sign">{sign}:</span> '
         f"{escape(verdict.text)}</span>"
     )
 
 
+def _source(data: bytes) -> str:
+    """A picture as the address of an `img`."""
+    mime = "image/jpeg" if data.startswith(b"\xff\xd8") else "image/png"
+    return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _gallery(key: str, item: Gallery) -> str:
+    cells = "".join(
+        f'<li><img src="{_source(one.data)}" alt="{escape("Photo of " + one.caption)}">'
+        f"<span>{escape(one.caption)}</span></li>"
+        for one in item.pictures
+    )
+    look = f'<p class="caption">{escape(item.look)}</p>' if item.look else ""
+    return (
+        f'<div id="{key}"><h3>{escape(item.title)}</h3><ul class="thumbs">{cells}</ul>{look}</div>'
+    )
+
+
 def _picture(key: str, item: Picture) -> str:
-    mime = "image/jpeg" if item.data.startswith(b"\xff\xd8") else "image/png"
-    data = base64.b64encode(item.data).decode("ascii")
     kind = ' class="narrow"' if item.narrow else ""
     return (
         f'<figure id="{key}"{kind}><h3>{escape(item.title)}</h3>'
-        f'<img src="data:{mime};base64,{data}" alt="{escape(item.alt)}">'
+        f'<img src="{_source(item.data)}" alt="{escape(item.alt)}">'
         f"<figcaption>{_told(item.look, item.verdict)}</figcaption></figure>"
     )
 

@@ -1,10 +1,10 @@
-"""Map, summary, warnings and overlap: what every project has."""
+"""Map, summary and overlap: what every project has."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from georef_gis.measure.report.draw import (
     png,
     scale_and_north,
 )
-from georef_gis.measure.report.facts import DONE, Facts
+from georef_gis.measure.report.facts import Facts
 from georef_gis.measure.report.not_adjusted import apart
 from georef_gis.measure.report.page import (
     Item,
@@ -73,26 +73,15 @@ def facts_of(facts: Facts, made: str, versions: str) -> list[tuple[str, str]]:
 
 
 def summary_section(facts: Facts) -> Section:
-    """Map picture, table, warnings."""
+    """Map picture, table, and what could not be read."""
     items: list[Item] = [_map(facts), _summary(facts)]
     if facts.quick:
         items.append(
             Text(lines=("A quick run: it stops at the poses from the tags; nothing is matched.",))
         )
-    for run in facts.runs:
-        name = run["tool"].rpartition(":")[2]
-        lines = list(dict.fromkeys([*_doubts(run), *(run["warnings"] or ())]))
-        if run["outcome"] not in (DONE, "started"):
-            lines.insert(0, f"{run['outcome']}: {run['message']}")
-        if lines and name != "report":
-            items.append(Lines(title=f"Warnings of {name}", lines=tuple(lines), most=25))
     if facts.missing:
         items.append(Lines(title="Not shown here", lines=facts.missing))
     return Section(id="summary", title="The site", items=items)
-
-
-def _doubts(run: Any) -> list[str]:
-    return [str(line) for line in (run["summary"] or {}).get("doubts", ())]
 
 
 def _summary(facts: Facts) -> Table:

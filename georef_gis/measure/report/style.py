@@ -42,6 +42,12 @@ thead .number { white-space: normal; }
 .hidden { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
 pre { white-space: pre-wrap; background: #f7f7f7; padding: .8rem; font-size: .85rem; }
 ul { padding-left: 1.3rem; }
+.thumbs { list-style: none; padding: 0; display: grid; gap: .7rem;
+  grid-template-columns: repeat(auto-fill, minmax(8.5rem, 1fr)); }
+.thumbs img { width: 100%; height: auto; display: block; border: 1px solid #ddd; }
+.thumbs span { font-size: .8rem; line-height: 1.25; overflow-wrap: anywhere; display: block; }
+td.word, tbody th { overflow-wrap: break-word; max-width: 46rem; }
+tbody th { max-width: 16rem; }
 @media (max-width: 40rem) { nav ol { columns: 1; } .facts { grid-template-columns: 1fr; }
   .facts dd { margin-bottom: .4rem; } }
 @media print {
@@ -59,5 +65,7 @@ ul { padding-left: 1.3rem; }
   .wide { overflow: visible; }
   table { font-size: 7.5pt; }
   th, td { padding: .1rem .3rem; }
+  .thumbs { grid-template-columns: repeat(6, 1fr); }
+  .thumbs li { break-inside: avoid; }
 }
 """

@@ -1,4 +1,4 @@
-"""What the pictures of trajectories are made of: colours, axes, bands, thinned lines."""
+"""What pictures over time are made of: colours, axes, bands, thinned lines."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from georef_gis.navigate.resample import metres_per_radian
-
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from georef_gis.frames import Array
-    from georef_gis.model.logs import TrajectoryLog
 
 # Okabe and Ito's colours, which the colour-blind tell apart.
 BLACK, ORANGE, SKY, GREEN, BLUE, RED = (
@@ -43,7 +40,8 @@ SMOOTH: dict[str, Any] = {"color": RED, "linewidth": 1.1, "linestyle": "--"}
 RAW: dict[str, Any] = {"color": GREY, "linestyle": "none", "marker": ".", "markersize": 2.5}
 FILTER: dict[str, Any] = {"color": SKY, "linewidth": 1.6}
 BY_NAME: dict[str, dict[str, Any]] = {
-    "raw fixes": RAW, "filter": FILTER, "smoother": SMOOTH,
+    "raw fixes": RAW, "filter": FILTER, "smoother": SMOOTH, "smoothed": SMOOTH,
+    "direct poses": {**ESTIMATE, "marker": "."}, "adjusted poses": {**SMOOTH, "marker": "."},
     "estimate": ESTIMATE, "reference": REFERENCE,
 }  # fmt: skip
 
@@ -167,14 +165,3 @@ def broken_at_wrap(t: Array, angle: Array) -> tuple[Array, Array]:
     t, angle = t[::every], np.mod(angle[::every], 360.0)
     after = np.flatnonzero(np.abs(np.diff(angle)) > 180.0) + 1
     return np.insert(t, after, t[after]), np.insert(angle, after, np.nan)
-
-
-def local_places(log: TrajectoryLog, base: TrajectoryLog) -> tuple[Array, Array, Array]:
-    """North, east from the first known place of `base`, and ellipsoidal height, m."""
-    known = np.flatnonzero(np.isfinite(base.lat))
-    if not len(known):
-        return log.lat, log.lon, log.height
-    lat, lon = base.lat[known[0]], base.lon[known[0]]
-    north, east = metres_per_radian(base.lat[known[:1]], base.height[known[:1]])
-    around = np.mod(log.lon - lon + np.pi, 2.0 * np.pi) - np.pi
-    return (log.lat - lat) * north, around * east, log.height
