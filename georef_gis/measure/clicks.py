@@ -52,10 +52,14 @@ class Clicks:
         return tuple(m.name or str(i + 1) for m, i in zip(self.marks, self.number, strict=True))
 
 
+def where_of(mark: Mark) -> str:
+    """File and line of a mark, where it has them, and its name, each with a colon."""
+    return "".join(f"{part}: " for part in (mark.source, mark.name) if part)
+
+
 def told(mark: Mark, why: str) -> str:
     """One line on what is wrong with a mark."""
-    name = f"{mark.name}: " if mark.name else ""
-    return f"{name}photo {mark.photo}: pixel ({mark.u:.1f}, {mark.v:.1f}) {why}"
+    return f"{where_of(mark)}photo {mark.photo}: pixel ({mark.u:.7g}, {mark.v:.7g}) {why}"
 
 
 def clicks_of(scene: Scene, marks: Sequence[Mark]) -> tuple[Clicks, dict[int, str]]:
@@ -66,14 +70,15 @@ def clicks_of(scene: Scene, marks: Sequence[Mark]) -> tuple[Clicks, dict[int, st
         try:
             numbers[i] = scene.number(mark.photo)
         except GeometryError as error:
-            refused[i] = f"{mark.name}: {error}" if mark.name else str(error)
+            refused[i] = f"{where_of(mark)}{error}"
         if not (math.isfinite(mark.sigma_px) and mark.sigma_px >= 0.0):
             refused[i] = told(mark, f"has a sigma of {mark.sigma_px} px; give one >= 0")
     uv = np.array([[mark.u, mark.v] for mark in marks], dtype=np.float64).reshape(-1, 2)
     inside = scene.photos.contains(numbers, uv)
     for k in (int(i) for i in np.flatnonzero(~inside)):
         camera = scene.photos.photos[numbers[k]].camera
-        refused.setdefault(k, told(marks[k], f"lies outside {camera.width} x {camera.height} px"))
+        why = f"lies outside {camera.width} x {camera.height} px; click within the photo"
+        refused.setdefault(k, told(marks[k], why))
     good = np.array([i not in refused for i in range(len(marks))], dtype=bool)
     clicks = Clicks(
         marks=tuple(marks),

@@ -88,6 +88,13 @@ def ellipse_scale(conf: float, dof: int | None = None) -> float:
     return math.sqrt(dof * ((1.0 - conf) ** (-2.0 / dof) - 1.0))
 
 
+def axis_azimuth(right: float, ahead: float) -> float:
+    """Azimuth of an axis, which has no sense, clockwise from ahead, in [0, pi); rad."""
+    azimuth = math.atan2(right, ahead) % math.pi
+    # a hair to the left is rounded to half a turn
+    return azimuth if azimuth < math.pi else 0.0
+
+
 def error_ellipse(
     covariance_en: ArrayLike, *, conf: float = STANDARD, dof: int | None = None
 ) -> Ellipse:
@@ -96,11 +103,10 @@ def error_ellipse(
     values, vectors = np.linalg.eigh((c + c.T) / 2)
     scale = ellipse_scale(conf, dof)
     minor, major = (scale * math.sqrt(max(float(v), 0.0)) for v in values)
-    east, north = vectors[:, 1]
     return Ellipse(
         semi_major=major,
         semi_minor=minor,
-        azimuth=math.atan2(east, north) % math.pi,
+        azimuth=axis_azimuth(*vectors[:, 1]),
         conf=conf,
         dof=dof,
     )
@@ -125,8 +131,7 @@ def on_map(frame: MapFrame, p_enu: ArrayLike, covariances: ArrayLike) -> Array:
 
 def grid_axes(frame: MapFrame, p_enu: Array) -> Array:
     """Rotations from enu to grid east, grid north and up at places; (n, 3) m -> (n, 3, 3)."""
-    lat, lon, _ = np.moveaxis(frame.origin.geo_from_enu(p_enu), -1, 0)
-    R_local_enu = np.swapaxes(R_ecef_from_enu(lat, lon), 1, 2) @ frame.origin.R_ecef_from_enu
+    R_local_enu = local_axes(frame, p_enu)
     # true north on the map, as `MapFrame.convergence_at` has it of one place
     north = _STEP * R_local_enu[:, 1]
     way = frame.map_from_enu(p_enu + north) - frame.map_from_enu(p_enu - north)
@@ -137,6 +142,12 @@ def grid_axes(frame: MapFrame, p_enu: Array) -> Array:
     R_grid_local[:, 1, 0] = np.sin(convergence)
     R_grid_local[:, 0, 1], R_grid_local[:, 2, 2] = -np.sin(convergence), 1.0
     return np.asarray(R_grid_local @ R_local_enu)
+
+
+def local_axes(frame: MapFrame, p_enu: Array) -> Array:
+    """Rotations from enu to east, north, up at the places themselves; (n, 3) m -> (n, 3, 3)."""
+    lat, lon, _ = np.moveaxis(frame.origin.geo_from_enu(p_enu), -1, 0)
+    return np.asarray(np.swapaxes(R_ecef_from_enu(lat, lon), 1, 2) @ frame.origin.R_ecef_from_enu)
 
 
 def ellipse_of(frame: MapFrame, point: MeasuredPoint, *, conf: float = STANDARD) -> Ellipse:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from georef_gis.frames import Array
-from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first
+from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first, where_of
 from georef_gis.measure.measured import MeasuredPoints, Method, UsedMarks, shared_rows
 from georef_gis.measure.scene import Scene
 from georef_gis.model.control import Mark
@@ -63,15 +63,16 @@ def intersect_points(
 
 def _once(clicks: Clicks, unfit: dict[int, str]) -> Clicks:
     """Marks without those of points that the photo shows marked already."""
-    seen: dict[tuple[str, int], Mark] = {}
+    seen: dict[tuple[str, int], int] = {}
     good = np.ones(len(clicks), dtype=bool)
     for i, (mark, photo) in enumerate(zip(clicks.marks, clicks.photo, strict=True)):
-        before = seen.setdefault((mark.name, int(photo)), mark)
-        if before is not mark:
+        first = seen.setdefault((mark.name, int(photo)), i)
+        if first != i:
+            before = clicks.marks[first]
             good[i] = False
             unfit[int(clicks.number[i])] = (
-                f"{mark.name}: marked in photo {mark.photo} twice, at ({before.u:.1f}, "
-                f"{before.v:.1f}) and ({mark.u:.1f}, {mark.v:.1f}) px; remove the wrong one"
+                f"{where_of(mark)}marked in photo {mark.photo} twice, at ({before.u:.7g}, "
+                f"{before.v:.7g}) and ({mark.u:.7g}, {mark.v:.7g}) px; remove the wrong one"
             )
     return clicks.where(good)
 

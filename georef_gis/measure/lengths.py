@@ -18,15 +18,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from georef_gis.errors import GeometryError
-from georef_gis.frames import Array, R_ecef_from_enu
-from georef_gis.geodesy import MapFrame, metres_per_unit
-from georef_gis.measure.ellipses import grid_axes
+from georef_gis.frames import Array
+from georef_gis.measure.line_geometry import (
+    NO_LENGTH,
+    OF_LEG,
+    Legs,
+    crossing_sides,
+    ring_areas,
+)
 from georef_gis.measure.measured import MeasuredPoints, photos_in
+from georef_gis.measure.spread import sigmas_of
 
+# rad; one sigma of a direction of which nothing is known
+_ANY_BEARING = math.pi / math.sqrt(3.0)
 # sigmas below which a length is not told from none
 _TOLD_APART = 3.0
+# by how much longer along the slope a length must be to be worth a word
+_SLOPING = 1.01
 # by how much better than the places' own sigmas a length must be to be worth a word
 _MUCH_BETTER = 1.5
 
@@ -44,8 +55,10 @@ class Quantity:
 
     @property
     def better(self) -> float:
-        """How many times better it is than the places alone let expect."""
-        return self.sigma_apart / self.sigma if self.sigma > 0.0 else math.inf
+        """How many times better it is than the places alone let expect; 1 of what is known."""
+        if self.sigma > 0.0:
+            return self.sigma_apart / self.sigma
+        return math.inf if self.sigma_apart > 0.0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +128,8 @@ class Lengths:
             f"{what} {_with_sigma(self.ground, 'm')} on the ground, "
             f"{self.grid.value:.3f} m on the map (scale {self.scale:.6f})"
         ]
+        if self.slope.value > _SLOPING * self.ground.value:
+            out.append(f"{what} {_with_sigma(self.slope, 'm')} along the slope")
         if self.area_ground is not None and self.area_grid is not None:
             out.append(
                 f"area {_with_sigma(self.area_ground, 'm2')} on the ground, "
@@ -146,26 +161,26 @@ def measure_lines(points: MeasuredPoints, *, closed: bool = False) -> Lengths:
     if n < least:
         what = "an area needs three points" if closed else "a distance needs two points"
         raise GeometryError(f"{what} or more; there are {n}: mark another")
-    spread = _Spread(points)
-    pairs = [(i, (i + 1) % n) for i in range(n if closed else n - 1)]
-    found = [_leg(points, spread, i, j) for i, j in pairs]
-    legs, rows = [leg for leg, _ in found], [row for _, row in found]
-    total = np.sum(rows, axis=0)
-    slope, ground, grid = (
-        spread.quantity(sum(getattr(leg, name).value for leg in legs), total[k])
-        for k, name in enumerate(("slope", "ground", "grid"))
-    )
-    areas = _areas(points, spread) if closed else (None, None)
+    first = np.arange(n if closed else n - 1)
+    found = Legs.of(points, first, (first + 1) % n)
+    rows = found.rows()
+    quantities = _quantities(points, found.values.ravel(), rows)
+    legs = tuple(_leg(points, found, quantities, k) for k in range(len(first)))
+    totals = csr_array(np.stack([rows[k :: len(OF_LEG)].sum(axis=0) for k in range(3)]))
+    slope, ground, grid = _quantities(points, found.values.sum(axis=0)[:3], totals)
+    areas: list[Quantity | None] = [None, None]
+    if closed:
+        areas = [*_quantities(points, *ring_areas(points, found.by_enu))]
     return Lengths(
         names=points.names,
-        legs=tuple(legs),
+        legs=legs,
         slope=slope,
         ground=ground,
         grid=grid,
         area_ground=areas[0],
         area_grid=areas[1],
-        scale=grid.value / ground.value if ground.value else math.nan,
-        doubts=tuple(_doubts(points, legs, closed)),
+        scale=grid.value / ground.value if ground.value > NO_LENGTH else found.scale,
+        doubts=tuple(_doubts(points, legs, areas[0])),
     )
 
 
@@ -174,160 +189,37 @@ def distance(points: MeasuredPoints, i: int = 0, j: int = 1) -> Leg:
     return measure_lines(points.subset([i, j])).legs[0]
 
 
-class _Spread:
-    """Covariance of all points, and of all that is made of them."""
-
-    def __init__(self, points: MeasuredPoints) -> None:
-        self.joint = points.covariance()
-        n = len(points)
-        self.apart = np.zeros((3 * n, 3 * n))
-        for i in range(n):
-            at = slice(3 * i, 3 * i + 3)
-            self.apart[at, at] = self.joint[at, at]
-
-    def quantity(self, value: float, gradient: Array) -> Quantity:
-        """Value with its sigmas, by its derivatives (3 n,)."""
-        together, apart = (float(gradient @ C @ gradient) for C in (self.joint, self.apart))
-        return Quantity(
-            value=float(value),
-            sigma=math.sqrt(max(together, 0.0)),
-            sigma_apart=math.sqrt(max(apart, 0.0)),
-        )
+def _leg(points: MeasuredPoints, legs: Legs, quantities: Sequence[Quantity], k: int) -> Leg:
+    """Leg number k, by the quantities of all."""
+    own = quantities[len(OF_LEG) * k : len(OF_LEG) * (k + 1)]
+    found = dict(zip(OF_LEG, own, strict=True))
+    for name in ("bearing_true", "bearing_grid"):
+        found[name] = _as_bearing(found[name])
+    return Leg(names=(points.names[legs.first[k]], points.names[legs.second[k]]), **found)
 
 
-def _leg(points: MeasuredPoints, spread: _Spread, i: int, j: int) -> tuple[Leg, Array]:
-    """Leg from i to j, and the derivatives of its three lengths (3, 3 n)."""
-    frame, pair = points.scene.frame, points.p_enu[[i, j]]
-    d = pair[1] - pair[0]
-    if float(np.linalg.norm(d)) < 1e-6:
-        names = f"{points.names[i]} and {points.names[j]}"
-        raise GeometryError(f"{names} are one place: there is no length between them")
-    ups = _local_axes(frame, pair)
-    up = ups[:, 2].sum(axis=0)
-    level = d - (d @ up) * up / (up @ up)
-    way = _grid_way(frame, pair)
-    M = _map_jacobians(frame, pair)
-    heights = frame.origin.geo_from_enu(pair)[:, 2]
-    true = ups[0] @ d
-    rows = {
-        "slope": _row(points, i, j, -_unit(d), _unit(d)),
-        "ground": _row(points, i, j, -_unit(level), _unit(level)),
-        "grid": _row(points, i, j, -_unit(way) @ M[0], _unit(way) @ M[1]),
-        "height_difference": _row(points, i, j, -ups[0, 2], ups[1, 2]),
-        "bearing_true": _row(
-            points, i, j, -_turning(true) @ ups[0, :2], _turning(true) @ ups[0, :2]
-        ),
-        "bearing_grid": _row(points, i, j, -_turning(way) @ M[0], _turning(way) @ M[1]),
-    }
-    values = {
-        "slope": float(np.linalg.norm(d)),
-        "ground": float(np.linalg.norm(level)),
-        "grid": float(np.linalg.norm(way)),
-        "height_difference": float(heights[1] - heights[0]),
-        "bearing_true": _azimuth(true),
-        "bearing_grid": _azimuth(way),
-    }
-    leg = Leg(
-        names=(points.names[i], points.names[j]),
-        **{name: spread.quantity(values[name], rows[name]) for name in rows},
+def _quantities(points: MeasuredPoints, values: Array, rows: csr_array) -> list[Quantity]:
+    """Values (q,) with their sigmas, by their derivatives (q, 3 n)."""
+    together, apart = sigmas_of(points, rows)
+    return [
+        Quantity(value=float(v), sigma=float(s), sigma_apart=float(a))
+        for v, s, a in zip(values, together, apart, strict=True)
+    ]
+
+
+def _as_bearing(q: Quantity) -> Quantity:
+    """Bearing that is no less sure than one of which nothing is known."""
+    return Quantity(
+        value=q.value,
+        sigma=min(q.sigma, _ANY_BEARING),
+        sigma_apart=min(q.sigma_apart, _ANY_BEARING),
     )
-    return leg, np.stack([rows[name] for name in ("slope", "ground", "grid")])
-
-
-def _row(points: MeasuredPoints, i: int, j: int, first: Array, second: Array) -> Array:
-    """Derivatives by all points of what depends on two; (3,) each -> (3 n,)."""
-    out = np.zeros(3 * len(points))
-    out[3 * i : 3 * i + 3] += first
-    out[3 * j : 3 * j + 3] += second
-    return out
-
-
-def _unit(v: Array) -> Array:
-    """Direction; zero of a vector without length, which has none."""
-    length = float(np.linalg.norm(v))
-    return np.asarray(v / length if length > 1e-9 else np.zeros_like(v))
-
-
-def _azimuth(d: Array) -> float:
-    """Azimuth of (east, north, ...) in [0, 2 pi), rad."""
-    azimuth = math.atan2(d[0], d[1]) % (2.0 * math.pi)
-    # a hair west of north is rounded to a full turn
-    return azimuth if azimuth < 2.0 * math.pi else 0.0
-
-
-def _turning(d: Array) -> Array:
-    """Derivative of the azimuth of (east, north, ...) by east and north; shape (2,), rad/m."""
-    square = float(d[0] ** 2 + d[1] ** 2)
-    return np.array([d[1], -d[0]]) / max(square, 1e-18)
-
-
-def _local_axes(frame: MapFrame, p_enu: Array) -> Array:
-    """Rotations from enu to east, north, up at the places themselves; (n, 3) -> (n, 3, 3)."""
-    lat, lon, _ = np.moveaxis(frame.origin.geo_from_enu(p_enu), -1, 0)
-    return np.asarray(np.swapaxes(R_ecef_from_enu(lat, lon), 1, 2) @ frame.origin.R_ecef_from_enu)
-
-
-def _grid_way(frame: MapFrame, pair: Array) -> Array:
-    """From the first of two places to the second on the map; shape (2,), m."""
-    p_map = frame.map_from_enu(pair)[:, :2] * metres_per_unit(frame.horizontal)
-    return np.asarray(p_map[1] - p_map[0])
-
-
-def _map_jacobians(frame: MapFrame, p_enu: Array) -> Array:
-    """Metres on the map by metres of enu; (n, 3) -> (n, 2, 3)."""
-    scale = np.array([frame.scale_at(p) for p in p_enu])
-    return np.asarray(scale[:, None, None] * grid_axes(frame, p_enu)[:, :2])
-
-
-# -- areas ------------------------------------------------------------------------------------
-
-
-def _areas(points: MeasuredPoints, spread: _Spread) -> tuple[Quantity, Quantity]:
-    """Area on the level at the points' mean height, and on the map."""
-    frame, p = points.scene.frame, points.p_enu
-    middle = p.mean(axis=0)
-    axes = _local_axes(frame, middle[None])[0, :2]
-    level = (p - middle) @ axes.T
-    unit = metres_per_unit(frame.horizontal)
-    p_map = frame.map_from_enu(p)[:, :2]
-    on_map = (p_map - p_map.mean(axis=0)) * unit
-    M = _map_jacobians(frame, p)
-    out = []
-    for xy, J in ((level, np.broadcast_to(axes, (len(p), 2, 3))), (on_map, M)):
-        area, by_xy = _shoelace(xy)
-        out.append(spread.quantity(abs(area), np.einsum("ni,nij->nj", by_xy, J).ravel()))
-    return out[0], out[1]
-
-
-def _shoelace(xy: Array) -> tuple[float, Array]:
-    """Signed area of a ring (n, 2), and its derivatives by the corners (n, 2)."""
-    after, before = np.roll(xy, -1, axis=0), np.roll(xy, 1, axis=0)
-    area = 0.5 * float(np.sum(xy[:, 0] * after[:, 1] - after[:, 0] * xy[:, 1]))
-    by_x, by_y = 0.5 * (after[:, 1] - before[:, 1]), 0.5 * (before[:, 0] - after[:, 0])
-    return area, np.stack([by_x, by_y], axis=1)
-
-
-def _crossing(xy: Array) -> tuple[int, int] | None:
-    """Two sides of a ring that cross, by the numbers of their first corners."""
-    a, b = xy, np.roll(xy, -1, axis=0)
-    n = len(xy)
-    for i in range(n):
-        for j in range(i + 2, n if i else n - 1):
-            if _side(a[i], b[i], a[j]) * _side(a[i], b[i], b[j]) < 0.0 and (
-                _side(a[j], b[j], a[i]) * _side(a[j], b[j], b[i]) < 0.0
-            ):
-                return i, j
-    return None
-
-
-def _side(a: Array, b: Array, p: Array) -> float:
-    return float((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]))
 
 
 # -- words ------------------------------------------------------------------------------------
 
 
-def _doubts(points: MeasuredPoints, legs: Sequence[Leg], closed: bool) -> list[str]:
+def _doubts(points: MeasuredPoints, legs: Sequence[Leg], area: Quantity | None) -> list[str]:
     out = []
     for leg in legs:
         if leg.slope.value < _TOLD_APART * leg.slope.sigma:
@@ -335,7 +227,11 @@ def _doubts(points: MeasuredPoints, legs: Sequence[Leg], closed: bool) -> list[s
                 f"{leg.names[0]} to {leg.names[1]}: {leg.slope.value:.3g} m with one sigma of "
                 f"{leg.slope.sigma:.3g} m is not told from no distance at all"
             )
-    crossing = _crossing(points.p_enu[:, :2]) if closed else None
+    if area is not None and area.value < _TOLD_APART * area.sigma:
+        out.append(
+            f"area: {area.value:.3g} m2 with one sigma of {area.sigma:.3g} m2 is not told from none"
+        )
+    crossing = None if area is None else crossing_sides(points.p_enu[:, :2])
     if crossing is not None:
         sides = [f"{legs[k].names[0]}-{legs[k].names[1]}" for k in crossing]
         out.append(f"sides {sides[0]} and {sides[1]} cross: the area is that of no ring; reorder")

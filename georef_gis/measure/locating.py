@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from georef_gis.frames import Array
-from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first, told
+from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first, told, where_of
 from georef_gis.measure.measured import MeasuredPoints, Method, UsedMarks, shared_rows
 from georef_gis.measure.scene import Scene
 from georef_gis.measure.tied_ground import TiedHeights, tied_heights
@@ -62,8 +62,16 @@ def locate_points(
     if not steep.all():
         clicks, p = clicks.where(steep), p[steep]
         found = _sensitivities(scene, clicks, p)
-    names = {i: marks[i].name or str(i + 1) for i in refused}
-    return _measured(scene, clicks, p, found, {names[i]: refused[i] for i in sorted(refused)})
+    return _measured(scene, clicks, p, found, _by_name(marks, refused))
+
+
+def _by_name(marks: Sequence[Mark], refused: dict[int, str]) -> dict[str, str]:
+    """Lines by the names of their marks; a name that comes again has its number with it."""
+    out: dict[str, str] = {}
+    for i in sorted(refused):
+        name = marks[i].name or str(i + 1)
+        out[name if name not in out else f"{name} ({i + 1})"] = refused[i]
+    return out
 
 
 # -- where rays meet the ground --------------------------------------------------------------
@@ -89,8 +97,9 @@ def _above_ground(scene: Scene, clicks: Clicks, refused: dict[int, str]) -> Bool
     below = depth >= 0.0
     for i in np.flatnonzero(below):
         refused[int(clicks.number[i])] = (
-            f"photo {clicks.marks[i].photo}: its projection centre lies {depth[i]:.1f} m below the "
-            "ground; check the kinds of the heights (ellipsoidal or orthometric)"
+            f"{where_of(clicks.marks[i])}photo {clicks.marks[i].photo}: its projection centre lies "
+            f"{depth[i]:.1f} m below the ground; check the kinds of the heights (ellipsoidal or "
+            "orthometric)"
         )
     return np.asarray(~below)
 
@@ -105,7 +114,8 @@ def _missed(way: Array) -> str:
         return f"does not look at the ground but {what} the horizon; click on the ground"
     return (
         "does not look at the ground that is known: its ray leaves the terrain before it comes "
-        "down; take a photo that looks there more steeply, or a larger DEM"
+        "down, or comes down in a hole of it; take a photo that looks there more steeply, or a "
+        "larger DEM"
     )
 
 
@@ -190,13 +200,19 @@ def _untied_variance(scene: Scene, tied: TiedHeights, by_height: Array) -> Array
 
 
 def _each_alone(points: MeasuredPoints) -> Array:
-    """Covariance of each point alone; shape (n, 3, 3)."""
-    parts = [np.zeros((0, 3, 3))]
-    for first in range(0, len(points), _PART):
-        at = np.arange(first, min(first + _PART, len(points)))
-        joint = points.covariance(at).reshape(len(at), 3, len(at), 3)
-        parts.append(joint[np.arange(len(at)), :, np.arange(len(at)), :])
-    return np.concatenate(parts)
+    """Covariance of each point alone; shape (n, 3, 3).
+
+    Points of one photo are taken together: they depend on few photos, all near to each other.
+    """
+    out = np.zeros((len(points), 3, 3))
+    order = np.argsort(points.marks.photo, kind="stable")
+    ends = np.flatnonzero(np.diff(points.marks.photo[order])) + 1
+    for mine in np.split(order, ends):
+        for first in range(0, len(mine), _PART):
+            at = mine[first : first + _PART]
+            joint = points.covariance(at).reshape(len(at), 3, len(at), 3)
+            out[at] = joint[np.arange(len(at)), :, np.arange(len(at)), :]
+    return out
 
 
 def _doubts(

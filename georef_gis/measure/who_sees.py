@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
+from georef_gis.measure.ellipses import axis_azimuth
 from georef_gis.measure.locating import locate_points
 from georef_gis.measure.measured import MeasuredPoints
 from georef_gis.measure.predicting import Predicted, predict, predict_measured
@@ -21,6 +22,8 @@ from georef_gis.model.terrain import FlatTerrain
 
 # px, one sigma of reading a place off a mosaic
 _READ = 1.0
+# m; no photo shows a place so far from all of them
+_FAR = 100_000.0
 # m, and share of the distance: ground nearer than a place by more than this hides it
 _HIDES, _HIDES_SHARE = 2.0, 0.02
 
@@ -93,7 +96,8 @@ def who_sees_on_mosaic(
 ) -> list[Sighting]:
     """Photos that show a place which was read off a mosaic of the same photos, best first.
 
-    The mosaic shows it as the photo does that looks at it most steeply, and errs with that photo.
+    The mosaic shows it as the photo does that looks at it most steeply, of those that no ground
+    hides it from, and errs with that photo.
 
     Parameters
     ----------
@@ -109,9 +113,11 @@ def who_sees_on_mosaic(
     photo = _seeing(scene, p)
     if not len(photo):
         return []
+    uv = scene.photos.project(photo, np.broadcast_to(p, (len(photo), 3)))
+    covered = _hidden(scene, p, photo, uv)
     away = np.linalg.norm((scene.photos.origin_enu[photo] - p)[:, :2], axis=1)
-    nearest = int(photo[np.argmin(away)])
-    u, v = (float(x) for x in scene.photos.project(np.array([nearest]), p[None])[0])
+    first = np.lexsort((away, covered))[0]
+    nearest, (u, v) = int(photo[first]), (float(x) for x in uv[first])
     mark = Mark(name="", photo=scene.photos.photos[nearest].id, u=u, v=v, sigma_px=_READ)
     return who_sees_point(locate_points(scene, [mark]), 0, best=best, hidden=hidden)
 
@@ -169,13 +175,20 @@ def _enu_of(scene: Scene, xy: Array, height: float | None) -> Array:
     where = f"place {xy[0]:.2f}, {xy[1]:.2f}"
     if height is None:
         height = float(scene.terrain.height_on_map(scene.frame, xy[None])[0])
-    if not (math.isfinite(height) and np.all(np.isfinite(xy))):
+    known = math.isfinite(height)
+    p_enu = scene.frame.enu_from_map([xy[0], xy[1], height if known else 0.0])
+    if not np.all(np.isfinite(p_enu)):
+        raise GeometryError(f"{where} lies outside of the map's CRS; check the order x, y")
+    away = float(np.min(np.linalg.norm(scene.photos.origin_enu - p_enu, axis=1)))
+    if away > _FAR:
+        raise GeometryError(
+            f"{where} lies {away / 1000.0:.0f} km from the nearest photo; check its CRS and the "
+            "order x, y (longitude first)"
+        )
+    if not known:
         raise GeometryError(
             f"{where}: the ground is not known there; give its height, or a larger DEM"
         )
-    p_enu = scene.frame.enu_from_map([xy[0], xy[1], height])
-    if not np.all(np.isfinite(p_enu)):
-        raise GeometryError(f"{where} lies outside of the map's CRS; check the order x, y")
     return np.asarray(p_enu)
 
 
@@ -209,7 +222,7 @@ def _ranked(
                 covariance=found.covariance[i],
                 semi_major=float(axes[i, 1]),
                 semi_minor=float(axes[i, 0]),
-                azimuth=math.atan2(right, -down) % math.pi,
+                azimuth=axis_azimuth(right, -down),
                 from_middle=away,
                 gsd=float(np.linalg.norm(p - photo.pose.origin_enu)) / camera.fx,
                 score=away + float(axes[i, 1]) / half,

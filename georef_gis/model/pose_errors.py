@@ -152,12 +152,15 @@ class TagErrors:
         local = np.swapaxes(T, 1, 2) @ stack.covariance[photos] @ T
         sigma = np.sqrt(np.einsum("aii->ai", local))
         safe = np.where(sigma > 0.0, sigma, 1.0)
-        self._roots = T @ roots_of(local)
+        self.roots = T @ roots_of(local)
         # what all share is no larger than the best photo allows: some may have a fixed receiver
         typical = np.sqrt(np.min(sigma**2, axis=0) * SHARES[:, 0])
         typical[:2] = np.clip(max(typical[0], sigma_datum), 0.0, sigma[:, :2].min(axis=0))
         slow2 = np.maximum((1.0 - SHARES[:, 2]) * sigma**2 - typical**2, 0.0)
         self._shared, self._slow = typical / safe, np.sqrt(slow2) / safe
+        # share of each unknown's sigma that flights have in common
+        self.datum = np.zeros((n, 6))
+        self.datum[:, :2] = np.minimum(sigma_datum, typical[:2]) / safe[:, :2]
 
     def pairs(self, a: Ints, b: Ints) -> Array:
         """Cross covariances of pairs of photos; (m,) and (m,) -> (m, 6, 6)."""
@@ -165,7 +168,31 @@ class TagErrors:
         alike = self._shared[a] * self._shared[b]
         alike = alike + self._slow[a] * self._slow[b] * np.exp(-lag[:, None] / TAU)
         alike[a == b] = 1.0
-        return np.asarray(self._roots[a] @ (alike[:, :, None] * np.swapaxes(self._roots[b], 1, 2)))
+        return np.asarray(self.roots[a] @ (alike[:, :, None] * np.swapaxes(self.roots[b], 1, 2)))
+
+
+class TagFlights:
+    """Poses by tags of several flights, which have their datum in common and nothing else.
+
+    Photos are counted flight by flight.
+    """
+
+    def __init__(self, flights: Sequence[TagErrors]) -> None:
+        self._flights = flights
+        counts = [len(one.roots) for one in flights]
+        self._flight = np.repeat(np.arange(len(flights)), counts)
+        self._first = np.concatenate([[0], np.cumsum(counts)])
+        roots = np.concatenate([one.roots for one in flights])
+        self._by_datum = roots * np.concatenate([one.datum for one in flights])[:, None, :]
+
+    def pairs(self, a: Ints, b: Ints) -> Array:
+        """Cross covariances of pairs of photos; (m,) and (m,) -> (m, 6, 6)."""
+        out = self._by_datum[a] @ np.swapaxes(self._by_datum[b], 1, 2)
+        for i, one in enumerate(self._flights):
+            at = np.flatnonzero((self._flight[a] == i) & (self._flight[b] == i))
+            if len(at):
+                out[at] = one.pairs(a[at] - self._first[i], b[at] - self._first[i])
+        return np.asarray(out)
 
 
 def roots_of(covariance: Array) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.frames import Array
+from georef_gis.model.pose_errors import DenseErrors, PoseErrors
 from georef_gis.project.columns_file import columns_of, write_columns
 
 _KIND = "joint covariance"
@@ -69,13 +70,31 @@ class KeptCovariance:
 
     def shared_rows(self, owner: str, names: Sequence[str]) -> Indices | None:
         """Rows of the unknowns of a camera or a flight; None where it was not adjusted."""
-        number = {name: i for i, name in enumerate(self.shared_names)}
-        wanted = [f"{owner} {name}" for name in names]
-        if any(name not in number for name in wanted):
-            return None
-        return np.asarray(
-            6 * len(self.photo_ids) + np.array([number[name] for name in wanted], dtype=np.int64)
-        )
+        found = rows_called(self.shared_names, owner, names)
+        return None if found is None else np.asarray(6 * len(self.photo_ids) + found)
+
+    def pose_errors(self, photo_ids: Sequence[str]) -> PoseErrors:
+        """Errors of photos, all of them adjusted, counted from 0 in this order."""
+        rows = self.pose_rows(photo_ids)
+        return DenseErrors(matrix=np.ascontiguousarray(self.matrix[np.ix_(rows, rows)]))
+
+    def between(self, rows: Indices, others: Indices) -> Array:
+        """Covariance of shared unknowns, by `shared_rows`; (r,) and (s,) -> (r, s)."""
+        return np.asarray(self.matrix[np.ix_(rows, others)])
+
+    def with_shared(self, photo_ids: Sequence[str], rows: Indices) -> Array:
+        """Covariance of the poses of k photos with shared unknowns, (r,); (k, 6, r)."""
+        block = self.matrix[np.ix_(self.pose_rows(photo_ids), rows)]
+        return np.asarray(block.reshape(len(photo_ids), 6, len(rows)))
+
+
+def rows_called(shared_names: Sequence[str], owner: str, names: Sequence[str]) -> Indices | None:
+    """Numbers of the unknowns of a camera or a flight among all; None where it was not adjusted."""
+    number = {name: i for i, name in enumerate(shared_names)}
+    wanted = [f"{owner} {name}" for name in names]
+    if any(name not in number for name in wanted):
+        return None
+    return np.array([number[name] for name in wanted], dtype=np.int64)
 
 
 def save_joint_covariance(

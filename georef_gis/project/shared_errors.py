@@ -16,15 +16,21 @@ from georef_gis.model.pose_errors import (
     ALIKE_HEIGHTS,
     AlikeErrors,
     ChainErrors,
-    DenseErrors,
     TagErrors,
+    TagFlights,
 )
 from georef_gis.model.trajectory import StateChain
+from georef_gis.project.band_covariance import (
+    BandCovariance,
+    SomeErrors,
+    load_band_covariance,
+)
 from georef_gis.project.columns_file import columns_of
 from georef_gis.project.joint_covariance import KeptCovariance, load_joint_covariance
 from georef_gis.project.project import Project
 from georef_gis.project.records import camera_of
 
+Kept = KeptCovariance | BandCovariance
 # kinds of sources, in words for people
 ADJUSTED, ALIKE = "adjustment", "adjustment, correlations by a stated law"
 TRAJECTORY, TAGS = "trajectory", "tags, correlations by a stated law"
@@ -54,10 +60,9 @@ def load_errors(
     InputError
         If a file that a run left is broken.
     """
-    kept = load_joint_covariance(project.adjustment / "covariance.npz")
     groups = _by_kind(stack, kinds)
     sources: list[PoseSource] = []
-    adjusted, kept = _adjusted(stack, groups.get("adjusted", []), kept, height)
+    adjusted, kept = _adjusted(project, stack, groups.get("adjusted", []), height)
     sources += adjusted
     flown, left = _flown(project, stack, groups.get("navigation", []))
     sources += flown
@@ -74,19 +79,19 @@ def _by_kind(stack: PhotoStack, kinds: Mapping[str, str]) -> dict[str, list[int]
 
 
 def _adjusted(
-    stack: PhotoStack, photos: Sequence[int], kept: KeptCovariance | None, height: float
-) -> tuple[list[PoseSource], KeptCovariance | None]:
+    project: Project, stack: PhotoStack, photos: Sequence[int], height: float
+) -> tuple[list[PoseSource], Kept | None]:
     """Source of the adjusted photos; the covariance only where it speaks of all of them."""
     if not photos:
         return [], None
     at = np.array(photos, dtype=np.int64)
     ids = [stack.photos[k].id for k in photos]
+    kept: Kept | None = load_joint_covariance(project.adjustment / "covariance.npz")
+    kept = kept or load_band_covariance(project.adjustment / "covariance_band.npz")
     if kept is None or not set(ids) <= set(kept.photo_ids):
         alike = AlikeErrors.of(stack, at, length=ALIKE_HEIGHTS * height)
         return [PoseSource(photos=at, errors=alike, kind=ALIKE)], None
-    rows = kept.pose_rows(ids)
-    dense = DenseErrors(matrix=np.ascontiguousarray(kept.matrix[np.ix_(rows, rows)]))
-    return [PoseSource(photos=at, errors=dense, kind=ADJUSTED)], kept
+    return [PoseSource(photos=at, errors=kept.pose_errors(ids), kind=ADJUSTED)], kept
 
 
 def _flown(
@@ -108,41 +113,32 @@ def _flown(
         )  # fmt: skip
     # the chain counts all its exposures, of which the stack may have lost some
     places, at = (np.array(part, dtype=np.int64) for part in zip(*known, strict=True))
-    source = PoseSource(photos=at, errors=_Some(errors, places), kind=TRAJECTORY)
+    some = SomeErrors(errors=errors, places=places)
+    source = PoseSource(photos=at, errors=some, kind=TRAJECTORY)
     return [source], [k for k in photos if k not in set(at.tolist())]
-
-
-class _Some:
-    """Errors of some of the photos that others speak of."""
-
-    def __init__(self, errors: ChainErrors, places: Ints) -> None:
-        self._errors, self._places = errors, places
-
-    def pairs(self, a: Ints, b: Ints) -> Array:
-        """Cross covariances of pairs of photos; (m,) and (m,) -> (m, 6, 6)."""
-        return self._errors.pairs(self._places[a], self._places[b])
 
 
 def _tagged(
     stack: PhotoStack, photos: Sequence[int], kinds: Mapping[str, str], sigma_datum: float
 ) -> list[PoseSource]:
-    """Sources of the photos by tags: each flight of a camera has errors of its own."""
+    """Source of the photos by tags: flights of a camera have only the datum in common."""
     flights: dict[tuple[str, str, str], list[int]] = {}
     for k in photos:
         photo = stack.photos[k].photo
         flights.setdefault((photo.flight_id, photo.camera_id, kinds[photo.id]), []).append(k)
-    out = []
-    for mine in flights.values():
-        at = np.array(mine, dtype=np.int64)
-        errors = TagErrors(stack, at, sigma_datum=sigma_datum)
-        out.append(PoseSource(photos=at, errors=errors, kind=TAGS))
-    return out
+    parts = [np.array(mine, dtype=np.int64) for mine in flights.values()]
+    errors = [TagErrors(stack, at, sigma_datum=sigma_datum) for at in parts]
+    if sigma_datum > 0.0 and len(parts) > 1:
+        return [PoseSource(photos=np.concatenate(parts), errors=TagFlights(errors), kind=TAGS)]
+    return [
+        PoseSource(photos=at, errors=one, kind=TAGS) for at, one in zip(parts, errors, strict=True)
+    ]
 
 
 # -- cameras ----------------------------------------------------------------------------------
 
 
-def _cameras(project: Project, stack: PhotoStack, kept: KeptCovariance | None) -> CameraErrors:
+def _cameras(project: Project, stack: PhotoStack, kept: Kept | None) -> CameraErrors:
     """Joint errors of the cameras, as the adjustment left them, else as they are stated."""
     rows = {row["camera_id"]: row for row in project.database.rows("camera")}
     sensors: dict[str, Camera] = {key: camera_of(row) for key, row in rows.items()}
@@ -166,12 +162,11 @@ def _cameras(project: Project, stack: PhotoStack, kept: KeptCovariance | None) -
         )
     number = {photo.id: k for k, photo in enumerate(stack.photos)}
     adjusted = [key for key in kept.photo_ids if key in number and _is_adjusted(stack, number[key])]
-    poses = kept.pose_rows(adjusted)
     where = np.array([number[key] for key in adjusted], dtype=np.int64)
     for key, found in in_kept.items():
         for other, its in in_kept.items():
-            covariance[at[key], at[other]] = kept.matrix[np.ix_(found, its)]
-        across[where, :, at[key]] = kept.matrix[np.ix_(poses, found)].reshape(-1, 6, len(found))
+            covariance[at[key], at[other]] = kept.between(found, its)
+        across[where, :, at[key]] = kept.with_shared(adjusted, found)
     return CameraErrors(
         ids=stated.ids, covariance=covariance, sensor_of=stated.sensor_of, turns=stated.turns,
         with_poses=across,

@@ -13,7 +13,7 @@ class IntersectParameters(p.Parameters):
         title="CSV of marks: name, photo, u, v[, sigma_px]; marks of one name are one point"
     )
     click: p.Number | None = p.number(
-        None, title="One sigma of every click, px, instead of the table's", ge=0, le=100
+        None, title="One sigma of every click, px; else the table's or 0.5", ge=0, le=100
     )
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
     strict: p.Flag = p.flag(
@@ -37,8 +37,10 @@ class Intersect(Algorithm[IntersectParameters]):
         """Intersect."""
         from processing_algorithms.measure.locate import points_result
         from processing_algorithms.measure.marks import read_mark_table
+        from processing_algorithms.measure.point_table import check_target
         from processing_algorithms.measure.session import MeasureSession
 
+        check_target(parameters.target, parameters.marks)
         session = MeasureSession.open(context.require_project(), quick=context.quick)
         marks = read_mark_table(parameters.marks, feedback, sigma_px=parameters.click)
         found = session.intersect(marks, on_fail="raise" if parameters.strict else "skip")

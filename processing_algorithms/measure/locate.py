@@ -24,8 +24,9 @@ class LocateParameters(p.Parameters):
     photo: p.Text | None = p.text(None, title="Photo of pixels that name none")
     marks: p.File | None = p.file(None, title="CSV of marks: name, photo, u, v[, sigma_px]")
     click: p.Number | None = p.number(
-        None, title="One sigma of every click, px; else the table's, else 1", ge=0, le=100
-    )
+        None, title="One sigma of every click, px; else the table's or 0.5; of --pixel 1", ge=0,
+        le=100,
+    )  # fmt: skip
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
     skip: p.Flag = p.flag(False, title="Go on without pixels that cannot be located")
     target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
@@ -45,30 +46,53 @@ class Locate(Algorithm[LocateParameters]):
     def run(self, context: Context, parameters: LocateParameters, feedback: Feedback) -> Result:
         """Locate."""
         from georef_gis.errors import InputError
-        from processing_algorithms.measure.marks import marks_of_pixels, read_mark_table
+        from processing_algorithms.measure.marks import marks_given
+        from processing_algorithms.measure.point_table import check_target
         from processing_algorithms.measure.session import MeasureSession
 
+        check_target(parameters.target, parameters.marks)
         session = MeasureSession.open(context.require_project(), quick=context.quick)
-        marks = marks_of_pixels(parameters.pixel, parameters.photo, sigma_px=parameters.click)
-        if parameters.marks is not None:
-            marks += read_mark_table(parameters.marks, feedback, sigma_px=parameters.click)
+        marks = marks_given(
+            parameters.pixel, parameters.photo, parameters.marks, feedback,
+            sigma_px=parameters.click,
+        )  # fmt: skip
         if not marks:
             raise InputError("nothing to locate: give --pixel photo:u,v or --marks", field="pixel")
         found = session.locate(marks, on_fail="skip" if parameters.skip else "raise")
         return points_result(found, parameters.target, parameters.conf, feedback)
 
 
+def warn_doubts(points: MeasuredPoints, feedback: Feedback) -> None:
+    """Tell what is doubtful about points; what is said of several, such as of their photo, once."""
+    from georef_gis.ingest.control_photos import some_names
+
+    of: dict[str, list[str]] = {}
+    for name, lines in zip(points.names, points.doubts, strict=True):
+        for line in lines:
+            of.setdefault(line, []).append(name)
+    for line, names in of.items():
+        feedback.warn(f"{some_names(names)}: {line}")
+
+
 def points_result(
     points: MeasuredPoints, target: Path | None, conf: float, feedback: Feedback
 ) -> Result:
-    """Table of points written, what is doubtful told, and a summary."""
+    """Table of points written, what is doubtful told, and a summary.
+
+    Raises
+    ------
+    GeometryError
+        If all were refused.
+    """
+    from georef_gis.errors import GeometryError
     from processing_algorithms.measure.point_table import COLUMNS, point_rows, write_rows
 
+    if points.refused and not len(points):
+        first = next(iter(points.refused.values()))
+        raise GeometryError(f"none of {len(points.refused)} points could be measured: {first}")
     for line in points.refused.values():
         feedback.warn(line)
-    for name, lines in zip(points.names, points.doubts, strict=True):
-        for line in lines:
-            feedback.warn(f"{name}: {line}")
+    warn_doubts(points, feedback)
     rows = point_rows(points, conf=conf)
     summary: dict[str, Any] = {"measured": len(points), "refused": len(points.refused)}
     if rows:

@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING
 from georef_gis.errors import InputError
 
 if TYPE_CHECKING:
+    from georef_gis.ingest.tables import Lines
     from georef_gis.model.control import Mark
     from georef_gis.toolbox import Feedback
     from georef_gis.toolbox.values import PhotoPixel
 
 # px, one sigma of a click where nothing is said
 CLICK = 1.0
+# columns of a table without a header: photo, name, u, v, sigma
+_UNHEADED = 5
 
 
 def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = None) -> list[Mark]:
@@ -37,7 +40,13 @@ def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = 
     from georef_gis.ingest.control_tables import marks_of
     from georef_gis.ingest.tables import read_lines
 
-    marks, doubts = marks_of(read_lines(path), (), None)
+    lines, broken = _without_broken(read_lines(path))
+    try:
+        marks, doubts = marks_of(lines, (), None)
+    except InputError as error:
+        # of what is left nothing is a mark
+        raise (InputError(broken[0]) if broken else error) from error
+    doubts = [*broken, *doubts]
     if not marks:
         raise InputError(
             doubts[0] if doubts else "has no marks", source="" if doubts else str(path)
@@ -45,6 +54,65 @@ def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = 
     for line in doubts:
         feedback.warn(line)
     return marks if sigma_px is None else [replace(mark, sigma_px=sigma_px) for mark in marks]
+
+
+def _without_broken(lines: Lines) -> tuple[Lines, list[str]]:
+    """Lines without those of more cells than the table has columns, and what is wrong with these.
+
+    A comma as decimal sign in a table of commas makes two numbers of each, which would be taken.
+    """
+    from georef_gis.ingest.control_tables import MARK_COLUMNS, columns_of
+    from georef_gis.ingest.tables import separator_of, split
+
+    if not lines.data:
+        return lines, []
+    first = lines.data[0][1]
+    separator = separator_of(first)
+    headed = "photo" in columns_of(first, MARK_COLUMNS, separator)
+    most = len(split(first, separator)) if headed else _UNHEADED
+    kept, doubts = [], []
+    for n, line in lines.lines:
+        cells = [] if line.startswith("#") else split(line, separator)
+        extra = [cell for cell in cells[most:] if cell]
+        if separator and extra:
+            doubts.append(
+                f"{lines.path}, line {n}: '{extra[0][:40]}' stands in column {most + 1} of {most}; "
+                "write decimals with a point; left out"
+            )
+        else:
+            kept.append((n, line))
+    return replace(lines, lines=tuple(kept)), doubts
+
+
+def marks_given(
+    pixels: Sequence[PhotoPixel],
+    photo: str | None,
+    table: Path | None,
+    feedback: Feedback,
+    *,
+    sigma_px: float | None,
+) -> list[Mark]:
+    """Marks of pixels on the command line, which are numbered, and of a table.
+
+    Raises
+    ------
+    InputError
+        If a pixel has no photo, the table cannot be used, or a point of it is called as a pixel.
+    """
+    marks = marks_of_pixels(pixels, photo, sigma_px=sigma_px)
+    if table is None:
+        return marks
+    numbers = {mark.name for mark in marks}
+    read = read_mark_table(table, feedback, sigma_px=sigma_px)
+    for mark in read:
+        if mark.name in numbers:
+            raise InputError(
+                f"'{mark.name}' is the name of pixel number {mark.name} too; rename it, or give "
+                "the pixels in the table",
+                source=mark.source,
+                field="name",
+            )
+    return marks + read
 
 
 def marks_of_pixels(

@@ -30,8 +30,9 @@ class MeasureLinesParameters(p.Parameters):
     )
     closed: p.Flag = p.flag(False, title="Back to the first point: perimeter and area")
     click: p.Number | None = p.number(
-        None, title="One sigma of every click, px; else the table's, else 1", ge=0, le=100
-    )
+        None, title="One sigma of every click, px; else the table's or 0.5; of --pixel 1", ge=0,
+        le=100,
+    )  # fmt: skip
     target: p.File | None = p.file(None, title="CSV or JSON of the lines to write", writes=True)
 
 
@@ -51,18 +52,19 @@ class MeasureLines(Algorithm[MeasureLinesParameters]):
         self, context: Context, parameters: MeasureLinesParameters, feedback: Feedback
     ) -> Result:
         """Measure."""
-        from processing_algorithms.measure.marks import marks_of_pixels, read_mark_table
-        from processing_algorithms.measure.point_table import write_rows
+        from processing_algorithms.measure.locate import warn_doubts
+        from processing_algorithms.measure.marks import marks_given
+        from processing_algorithms.measure.point_table import check_target, write_rows
         from processing_algorithms.measure.session import MeasureSession
 
+        check_target(parameters.target, parameters.marks)
         session = MeasureSession.open(context.require_project(), quick=context.quick)
-        marks = marks_of_pixels(parameters.pixel, parameters.photo, sigma_px=parameters.click)
-        if parameters.marks is not None:
-            marks += read_mark_table(parameters.marks, feedback, sigma_px=parameters.click)
+        marks = marks_given(
+            parameters.pixel, parameters.photo, parameters.marks, feedback,
+            sigma_px=parameters.click,
+        )  # fmt: skip
         points = _chosen(session.measure(marks), parameters.points)
-        for name, lines in zip(points.names, points.doubts, strict=True):
-            for line in lines:
-                feedback.warn(f"{name}: {line}")
+        warn_doubts(points, feedback)
         found = session.lines(points, closed=parameters.closed)
         for line in found.told():
             feedback.info(line)
@@ -84,6 +86,12 @@ def _chosen(points: MeasuredPoints, names: Sequence[str]) -> MeasuredPoints:
     if strange:
         known = ", ".join(points.names[:10])
         raise InputError(f"no point is called '{strange[0]}'; names are {known}", field="points")
+    again = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if again is not None:
+        # its click would count as two that err apart
+        raise InputError(
+            f"'{again}' comes twice; back to the first point is --closed", field="points"
+        )
     return points.subset([points.names.index(name) for name in names])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from georef_gis.measure.measured import MeasuredPoints
     from georef_gis.measure.scene import Scene
     from georef_gis.model.photo import OrientedPhoto
+    from georef_gis.toolbox.values import PhotoPixel
 
 
 class MeasurePhotoParameters(p.Parameters):
@@ -54,6 +56,7 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
         from processing_algorithms.measure.point_table import COLUMNS, point_rows, write_rows
 
         photo, scene = _oriented(parameters)
+        _check_pixels(parameters.pixel, photo)
         place = photo.pose.origin_enu
         agl = float(place[2] - scene.terrain.z_at(place[:2]))
         if not math.isfinite(agl):
@@ -76,6 +79,24 @@ class MeasurePhoto(Algorithm[MeasurePhotoParameters]):
                 write_rows(parameters.target, rows, COLUMNS)
                 outputs["points"] = parameters.target
         return Result(outputs=outputs, summary=summary)
+
+
+def _check_pixels(pixels: Sequence[PhotoPixel], photo: OrientedPhoto) -> None:
+    """Refuse pixels that name another photo than the one that is measured in.
+
+    Raises
+    ------
+    InputError
+        If there is one.
+    """
+    from georef_gis.errors import InputError
+    from georef_gis.ingest.control_photos import photo_finder
+
+    find = photo_finder({photo.id: photo})
+    for one in pixels:
+        if one.photo and not find(one.photo):
+            why = f"{one} is of another photo than {photo.photo.path.name}; use `georef locate`"
+            raise InputError(why, field="pixel")
 
 
 def _shown(photo: OrientedPhoto, height: float) -> dict[str, Any]:

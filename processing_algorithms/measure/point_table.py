@@ -18,6 +18,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
+# endings of what may be written over
+_TABLES = (".csv", ".json", ".txt")
+
+
 def point_rows(points: MeasuredPoints, *, conf: float | None = None) -> list[dict[str, Any]]:
     """Table of measured points, one row each with the columns `COLUMNS`.
 
@@ -83,14 +87,43 @@ def _spread(C: Array, conf: float) -> dict[str, float]:
     }
 
 
+def check_target(target: Path | None, source: Path | None = None) -> None:
+    """Refuse to write a table over what is none, or over the table that is read.
+
+    Raises
+    ------
+    InputError
+        If it would be lost: a photo named by mistake, or the marks.
+    """
+    from georef_gis.errors import InputError
+
+    if target is None:
+        return
+    if target.suffix.lower() not in _TABLES:
+        why = f"'{target.name}' is not written as a table; end its name in .csv or .json"
+        raise InputError(why, source=str(target), field="target")
+    if source is not None and target.resolve() == source.resolve():
+        why = "is the table of marks that is read, and would be lost; name another"
+        raise InputError(why, source=str(target), field="target")
+
+
 def write_rows(target: Path, rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> None:
-    """Write a table as CSV, or as JSON where the name ends so; whole or not at all."""
+    """Write a table as CSV, or as JSON where the name ends so; whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If the name is that of no table: a photo named by mistake would be lost.
+    ExportError
+        If it cannot be written.
+    """
     import csv
     import io
     import json
 
     from georef_gis.rasters.files import export_errors, resolve_target, whole_file
 
+    check_target(target)
     if target.suffix.lower() == ".json":
         text = json.dumps(list(rows), indent=1, ensure_ascii=False) + "\n"
     else:

@@ -94,7 +94,6 @@ class MeasureSession:
         raise InputError(
             f"no photo with a pose is called '{written}'; `georef check` lists the photos and says "
             "which have none",
-            source=str(self.project.folder),
             field="photo",
         )
 
@@ -106,14 +105,43 @@ class MeasureSession:
         InputError
             If a photo is not known.
         """
-        ids = {mark.photo: "" for mark in written}
-        for name in ids:
-            source = next(mark.source for mark in written if mark.photo == name)
-            try:
-                ids[name] = self.photo_id(name)
-            except InputError as error:
-                raise InputError(str(error), source=source) if source else error from error
-        return [replace(mark, photo=ids[mark.photo]) for mark in written]
+        found, unknown = self._known(written)
+        for error in unknown.values():
+            raise error
+        return found
+
+    def _known(self, written: Sequence[Mark]) -> tuple[list[Mark], dict[str, InputError]]:
+        """Marks with the ids of their photos; of the others one error for each name of a point."""
+        ids: dict[str, str | InputError] = {}
+        marks: list[Mark] = []
+        unknown: dict[str, InputError] = {}
+        for mark in written:
+            if mark.photo not in ids:
+                try:
+                    ids[mark.photo] = self.photo_id(mark.photo)
+                except InputError as error:
+                    ids[mark.photo] = error
+            found = ids[mark.photo]
+            if isinstance(found, str):
+                marks.append(replace(mark, photo=found))
+            else:
+                unknown.setdefault(mark.name, _at(found, mark.source))
+        return marks, unknown
+
+    def _measured(
+        self, how: Callable[..., MeasuredPoints], written: Sequence[Mark], on_fail: OnFail
+    ) -> MeasuredPoints:
+        """Points of marks as people write them; with "skip" also without those of no photo."""
+        if on_fail == "raise":
+            return how(self.scene, self.marks(written), on_fail=on_fail)
+        marks, unknown = self._known(written)
+        points = how(self.scene, marks, on_fail=on_fail)
+        lost = {name: str(error) for name, error in unknown.items() if name not in points.names}
+        doubts = tuple(
+            (*lines, f"left out: {unknown[name]}") if name in unknown else lines
+            for name, lines in zip(points.names, points.doubts, strict=True)
+        )
+        return points.with_doubts(doubts).with_refused(points.refused | lost)
 
     @cached_property
     def _images(self) -> ImageCache:
@@ -147,13 +175,13 @@ class MeasureSession:
         """Ground points that clicks show; `Mark.photo` as people write it."""
         from georef_gis.measure.points import locate_points
 
-        return locate_points(self.scene, self.marks(marks), on_fail=on_fail)
+        return self._measured(locate_points, marks, on_fail)
 
     def intersect(self, marks: Sequence[Mark], *, on_fail: OnFail = "raise") -> MeasuredPoints:
         """Points that marks of one name show in several photos."""
         from georef_gis.measure.points import intersect_points
 
-        return intersect_points(self.scene, self.marks(marks), on_fail=on_fail)
+        return self._measured(intersect_points, marks, on_fail)
 
     def measure(self, marks: Sequence[Mark], *, on_fail: OnFail = "raise") -> MeasuredPoints:
         """Points by all their marks: those in one photo by the ground, the others by their rays.
@@ -230,6 +258,11 @@ class MeasureSession:
         from processing_algorithms.measure.point_table import point_rows
 
         return point_rows(points, conf=conf)
+
+
+def _at(error: InputError, source: str) -> InputError:
+    """Error of a place in a file, where there is one."""
+    return InputError(str(error), source=source) if source else error
 
 
 def scene_of(project: Project, site: Site) -> Scene:

@@ -45,16 +45,20 @@ class WhoSees(Algorithm[WhoSeesParameters]):
 
     def run(self, context: Context, parameters: WhoSeesParameters, feedback: Feedback) -> Result:
         """Look."""
+        from georef_gis.errors import InputError
         from processing_algorithms.measure.point_table import write_rows
         from processing_algorithms.measure.session import MeasureSession
 
         session = MeasureSession.open(context.require_project(), quick=context.quick)
         x, y, height = on_map(parameters.place, session.frame)
+        if parameters.sigma_v > 0.0 and height is None:
+            why = f"{parameters.sigma_v:g} m is of no height; give it, as in x,y,height"
+            raise InputError(why, field="sigma_v")
         found = session.who_sees(
             x,
             y,
             height,
-            surveyed=parameters.surveyed or height is not None,
+            surveyed=parameters.surveyed or height is not None or parameters.sigma_h > 0.0,
             sigma_h=parameters.sigma_h,
             sigma_v=parameters.sigma_v,
             best=parameters.best or None,

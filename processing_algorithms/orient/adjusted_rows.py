@@ -20,7 +20,7 @@ from georef_gis.orient.adjustment.adjust import Adjusted
 from georef_gis.orient.adjustment.block import FLIGHT_NAMES
 from georef_gis.orient.adjustment.checks import Check, Observability, observability
 from georef_gis.orient.adjustment.distances import distance_sigmas
-from georef_gis.orient.adjustment.keep import COVARIANCE, save_adjusted
+from georef_gis.orient.adjustment.keep import BAND, COVARIANCE, save_adjusted
 from georef_gis.orient.surface import Surface, fit_surface
 from georef_gis.orient.surface_trust import trusted
 from georef_gis.project import Project
@@ -59,7 +59,7 @@ def forget(project: Project) -> None:
             if (row["extra"] or {}).get("adjusted_of"):
                 database.delete_rows("flight", {"flight_id": row["flight_id"]})
         database.set_meta(ground_adjusted=None, adjustment=None)
-    for name in (REPORT, SURFACE, COVARIANCE, "points.npz", "residuals.npz"):
+    for name in (REPORT, SURFACE, COVARIANCE, BAND, "points.npz", "residuals.npz"):
         (project.adjustment / name).unlink(missing_ok=True)
 
 

@@ -21,6 +21,7 @@ from georef_gis.model.pose_errors import (
     LoneErrors,
     PoseErrors,
     TagErrors,
+    TagFlights,
     roots_of,
 )
 from georef_gis.model.trajectory import StateChain
@@ -116,17 +117,36 @@ def test_tags_of_neighbours_err_alike_and_of_far_ones_share_the_flight() -> None
     assert np.mean(near) > 0.4 > np.mean(far) > 0.0
 
 
+def strip_of_unknown_datum() -> PhotoStack:
+    """Of the variance of east and north, 4.01 m2, 4 are the datum's."""
+    wide = np.diag([4.01, 4.01, 1.0, 1e-4, 1e-4, 1e-4])
+    return PhotoStack.of(
+        [replace(p, pose=replace(p.pose, covariance=wide)) for p in strip().photos]
+    )
+
+
 def test_a_datum_that_nobody_stated_is_the_same_for_all() -> None:
-    base = strip()
-    wide = [
-        replace(p, pose=replace(p.pose, covariance=np.diag([4.01, 4.01, 1.0, 1e-4, 1e-4, 1e-4])))
-        for p in base.photos
-    ]
-    stack = PhotoStack.of(wide)
+    stack = strip_of_unknown_datum()
     C = whole(TagErrors(stack, np.arange(N), sigma_datum=2.0))
-    # of 4.01 m2, 4 are the datum's; the rest is each photo's or slow
+    # the rest is each photo's or slow
     assert C[0::6, 0::6].min() > 4.0 - 1e-9
     assert C[2::6, 2::6].min() < 1.0
+
+
+@pytest.mark.parametrize("datum", [2.0, 0.5])
+def test_flights_by_tags_share_the_datum_and_nothing_else(datum: float) -> None:
+    stack, tail = strip_of_unknown_datum(), N // 2
+    parts = np.arange(N - tail), np.arange(N - tail, N)
+    single = [TagErrors(stack, at, sigma_datum=datum) for at in parts]
+    C = whole(TagFlights(single))
+    for at, one in zip(parts, single, strict=True):
+        rows = (6 * at[:, None] + np.arange(6)).ravel()
+        np.testing.assert_array_equal(C[np.ix_(rows, rows)], whole(one, len(at)))
+    across = C[: 6 * (N - tail), 6 * (N - tail) :].reshape(N - tail, 6, tail, 6)
+    for c in (0, 1):
+        np.testing.assert_allclose(across[:, c, :, c], datum**2, rtol=1e-12)
+    assert not across[:, 2:, :, 2:].any()
+    assert np.linalg.eigvalsh(C).min() > -1e-9
 
 
 def test_a_long_chain_says_the_same_as_a_short_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -310,13 +310,24 @@ def between_intersected(points: MeasuredPoints, flight: SimFlight) -> Measured:
 
 
 def area_of(points: MeasuredPoints, flight: SimFlight) -> Measured:
-    """Area of the triangle of the first three places."""
-    three = points.subset([0, 1, 2])
-    a, b, c = truth_of(flight, three)[:, :2]
-    true = 0.5 * abs((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+    """Area of the largest triangle of the true places.
+
+    By tags it may still be no larger than its sigma: then a triangle that is turned over has an
+    area too, and errs by both. So the sign of the measured one counts.
+    """
+    truth = truth_of(flight, points)
+    chosen = max(combinations(range(len(points)), 3), key=lambda c: abs(turning_area(truth[[*c]])))
+    three = points.subset(chosen)
+    true, measured = (turning_area(xy) for xy in (truth[[*chosen]], three.p_enu))
     area = measure_lines(three, closed=True).area_ground
     assert area is not None
-    return on_intervals([area], [true])
+    return on_intervals([area], [math.copysign(1.0, measured) * true])
+
+
+def turning_area(xy: Array) -> float:
+    """Area of a triangle (3, 2 or more), positive where it turns left."""
+    a, b, c = xy[:, :2]
+    return float(0.5 * ((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]))
 
 
 def measure_flight(seed: int, *, adjusted: bool = True) -> dict[str, Measured]:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 
 import measure_scenes as scenes
 import numpy as np
 import pytest
 from pyproj import Geod
+from scipy.sparse import csr_array
 
 from georef_gis.errors import GeometryError
 from georef_gis.geodesy import metres_per_unit
-from georef_gis.measure.lengths import distance, measure_lines
+from georef_gis.measure.lengths import Quantity, distance, measure_lines
 from georef_gis.measure.measured import MeasuredPoints
 from georef_gis.measure.points import Mark, intersect_points, locate_points
+from georef_gis.measure.spread import sigmas_of
 
 GEOD = Geod(ellps="WGS84")
 
@@ -62,6 +65,22 @@ def test_slope_height_and_ground_make_a_right_triangle(three: MeasuredPoints) ->
     assert leg.ground.value == pytest.approx(30.0, abs=1e-3)  # m; the bend over 30 m
 
 
+def test_a_pole_is_told_along_the_slope(three: MeasuredPoints) -> None:
+    lines = measure_lines(at(three, (0.0, 0.0, 0.0), (0.0, 0.0, 5.0)))
+    assert lines.told()[1].startswith("length 5.0")
+    assert lines.told()[1].endswith("m along the slope")
+    # m; the verticals of both ends are one
+    assert lines.ground.value == pytest.approx(0.0, abs=1e-5)
+    assert lines.scale == pytest.approx(scenes.FRAME.scale_at(np.zeros(3)), rel=1e-6)
+    level = measure_lines(at(three, (0.0, 0.0, 0.0), (30.0, 0.0, 0.5)))
+    assert not [line for line in level.told() if "slope" in line]
+
+
+def test_of_what_is_known_nothing_is_better_than_the_places() -> None:
+    assert Quantity(value=5.0, sigma=0.0, sigma_apart=0.0).better == 1.0
+    assert Quantity(value=5.0, sigma=0.0, sigma_apart=0.1).better == math.inf
+
+
 def test_scale_of_the_map_tells_grid_from_ground(three: MeasuredPoints) -> None:
     lines = measure_lines(at(three, (0.0, 0.0, 0.0), (500.0, 0.0, 0.0)))
     scale = scenes.FRAME.scale_at(np.array([250.0, 0.0, 0.0]))
@@ -94,6 +113,55 @@ def test_sides_that_cross_are_told(three: MeasuredPoints) -> None:
     assert line.startswith("sides 1-2 and 3-1 cross")
 
 
+def test_an_area_within_its_own_sigma_is_doubted(three: MeasuredPoints) -> None:
+    p = three.p_enu[0]
+    thin = at(three, tuple(p), (p[0] + 30.0, p[1], p[2]), (p[0] + 60.0, p[1] + 1e-3, p[2]))
+    (line,) = [d for d in measure_lines(thin, closed=True).doubts if d.startswith("area")]
+    assert "m2 is not told from none" in line
+
+
+def test_no_bearing_is_less_sure_than_one_of_which_nothing_is_known(three: MeasuredPoints) -> None:
+    """Of any direction as likely as any other: a sigma of 360 deg over the root of 12."""
+    p = three.p_enu[0]
+    leg = distance(at(three, tuple(p), (p[0] + 1e-3, p[1], p[2])))
+    assert math.degrees(leg.bearing_grid.sigma) == pytest.approx(360.0 / math.sqrt(12.0))
+    assert leg.bearing_true.sigma_apart == leg.bearing_true.sigma
+
+
+def test_sigmas_need_no_joint_covariance_but_are_those_by_it() -> None:
+    """More functions than are taken at once, of points located and intersected."""
+    scene = scenes.scene()
+    photos = scene.photos.photos
+    clicks = [Mark(name="", photo=p, u=u, v=900.0) for p in "AB" for u in (500.0, 2500.0)]
+    places = {"P": (np.array([1.0, 2.0, 0.0]), "AB"), "Q": (np.array([9.0, 2.0, 4.0]), "AC")}
+    points = MeasuredPoints.joined(
+        locate_points(scene, clicks), intersect_points(scene, scenes.marks_of(photos, places))
+    )
+    rows = np.random.default_rng(3).normal(size=(150, 3 * len(points)))
+    together, apart = sigmas_of(points, csr_array(rows))
+    joint = points.covariance()
+    np.testing.assert_allclose(together**2, np.diag(rows @ joint @ rows.T), rtol=1e-9)
+    blocks = np.kron(np.eye(len(points)), np.ones((3, 3)))
+    np.testing.assert_allclose(apart**2, np.diag(rows @ (joint * blocks) @ rows.T), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_line_of_thousands_of_points_is_measured_in_seconds() -> None:
+    """Not by the covariance of all of them together, which would take gigabytes."""
+    rng = np.random.default_rng(5)
+    scene, n = scenes.scene(), 3000
+    marks = [
+        Mark(name="", photo="A", u=float(u), v=float(v))
+        for u, v in zip(rng.uniform(100, 3900, n), rng.uniform(100, 2900, n), strict=True)
+    ]
+    points = locate_points(scene, marks)
+    begun = time.process_time()
+    lines = measure_lines(points, closed=True)
+    assert time.process_time() - begun < 20.0  # s; some 3 on a quiet machine, minutes before
+    some = measure_lines(points.subset([1000, 1001])).legs[0]
+    assert lines.legs[1000].ground.sigma == pytest.approx(some.ground.sigma, rel=1e-9)
+
+
 def test_a_length_within_its_own_sigma_is_doubted(three: MeasuredPoints) -> None:
     p = three.p_enu[0]
     lines = measure_lines(at(three, tuple(p), (p[0] + 1e-3, p[1], p[2])))
@@ -116,7 +184,9 @@ def test_it_is_said_how_much_better_a_distance_is_than_the_places(three: Measure
     assert line.startswith(f"{lines.ground.better:.3g} times better than the places")
     # unless the points share nothing
     alone = three.subset([0, 1])
-    apart = replace(alone, shared=alone.shared * 0.0, by_height=alone.by_height * 0.0)
+    apart = replace(
+        alone, shared=alone.shared * 0.0, by_height=alone.by_height * 0.0, each=alone.own
+    )
     assert not [s for s in measure_lines(apart).told() if "times better" in s]
 
 

@@ -49,7 +49,7 @@ def small_dem() -> Terrain:
     ("scene", "mark", "line"),
     [
         (over(FLAT, looking(0)), ("A", 4000.0, 10.0),
-         r"P: photo A: pixel \(4000.0, 10.0\) lies outside 4000 x 3000 px"),
+         r"P: photo A: pixel \(4000, 10\) lies outside 4000 x 3000 px"),
         (over(FLAT, looking(0)), ("A", math.nan, 10.0), "lies outside"),
         (over(FLAT, looking(0)), ("Z", 5.0, 5.0), "P: photo Z has no pose; .* `georef check`"),
         (over(FLAT, looking(90)), ("A", 2000.0, 100.0),
@@ -188,8 +188,9 @@ def test_points_that_cannot_be_told_are_refused_by_name() -> None:
     scene = scenes.scene()
     for wrong, line in (
         (lonely, "L: 1 ray gives no point; mark it in two photos or more"),
-        (outside, r"O: photo B: pixel \(-50.0, 100.0\) lies outside 4000 x 3000 px"),
-        (twice, r"Q: marked in photo A twice, .* and \(77.0, .* remove the wrong one"),
+        (outside, r"O: photo B: pixel \(-50, 100\) lies outside 4000 x 3000 px"),
+        (next(m for m in marks if m.name == "Q"), r"Q: marked in photo A twice"),
+        (twice, r"Q: marked in photo A twice, .* and \(77, .* remove the wrong one"),
     ):
         with pytest.raises(GeometryError, match=line):
             intersect_points(scene, [*marks, wrong])
@@ -236,3 +237,14 @@ def test_points_of_two_scenes_are_not_joined() -> None:
     a, b = (intersect_points(scenes.scene(), good_marks()) for _ in range(2))
     with pytest.raises(ValueError, match="different scenes"):
         MeasuredPoints.joined(a, b)
+
+
+def test_each_place_has_its_block_of_the_joint_covariance_in_any_order_of_photos() -> None:
+    marks = [
+        Mark(name="", photo="CABAC"[i % 5], u=900.0 + 15.0 * i, v=1400.0 - 4.0 * i)
+        for i in range(70)
+    ]
+    points = locate_points(scenes.scene(), marks)
+    joint = points.covariance().reshape(70, 3, 70, 3)
+    every = np.arange(70)
+    np.testing.assert_allclose(points.each, joint[every, :, every, :], rtol=1e-9, atol=1e-12)

@@ -87,11 +87,12 @@ def test_csv_holds_the_points(tmp_path: Path) -> None:
     [
         ((PHOTO, "--height", 55, "--pixel", "100,1000"), "lies outside 1296 x 864 px"),
         ((PHOTO, "--height", 55, "--pixel", "ten,20"), "pixel"),
+        ((PHOTO, "--height", 55, "--pixel", "OTHER.JPG:9,9"), "is of another photo than IMG_"),
         ((PHOTO, "--height", -5), "height"),
         (("nix.jpg", "--height", 55), "nix.jpg"),
         ((PHOTO, "--height", 55, "--pixel", "9,9", "--target", "nowhere/p.csv"), "p.csv"),
     ],
-    ids=["outside", "no number", "negative height", "no photo", "no folder"],
+    ids=["outside", "no number", "other photo", "negative height", "no photo", "no folder"],
 )
 def test_slip_is_one_line(words: tuple[object, ...], line: str) -> None:
     done = measure(*words)

@@ -14,7 +14,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from georef_gis.app import cli
+from georef_gis.model.control import Mark
 from georef_gis.project import Project
+from georef_gis.toolbox import Feedback
+from processing_algorithms.measure.locate import warn_doubts
 from processing_algorithms.measure.point_table import COLUMNS
 from processing_algorithms.measure.session import MeasureSession
 
@@ -138,6 +141,11 @@ def test_points_are_chosen_and_ordered_by_name(site: Path) -> None:
     done = tool(site, "measure-lines", "--marks", site / "control" / "marks.csv", "--points", "No")
     assert done.exit_code == 2
     assert "no point is called 'No'" in done.output
+    done = tool(
+        site, "measure-lines", "--marks", site / "control" / "marks.csv", *words, *words[:2]
+    )
+    assert done.exit_code == 2
+    assert f"'{names[2]}' comes twice; back to the first point is --closed" in done.output
 
 
 @pytest.mark.parametrize("surveyed_place", [True, False])
@@ -155,6 +163,10 @@ def test_photos_that_show_a_target_are_those_in_which_it_is_marked(
     seen = [m for m in marked if Path(m["photo"]).stem in by_photo or m["photo"] in by_photo]
     assert len(seen) >= len(marked) - 2
     if not surveyed_place:
+        # who states how well a place was surveyed says that it was
+        some = summary(site, "who-sees", "--place", f"{e!r},{n!r}", "--sigma-h", "3")
+        least = min(row["sigma_minor_px"] for row in some["sightings"])
+        assert least > min(row["sigma_minor_px"] for row in found["sightings"])
         return
     for m in seen:
         row = by_photo.get(m["photo"]) or by_photo[Path(m["photo"]).stem]
@@ -172,8 +184,13 @@ def test_photos_that_show_a_target_are_those_in_which_it_is_marked(
         (("locate", "--pixel", "IMG_0004:10,10", "--target", "/nowhere/p.csv"), "/nowhere"),
         (("intersect", "--marks", "nix.csv"), "nix.csv"),
         (("measure-lines", "--photo", "IMG_0004", "--pixel", "1,1"), "needs two points"),
-        (("who-sees", "--place", "1,2"), "the ground is not known there"),
+        (
+            ("locate", "--pixel", "IMG_0004:10,10", "--target", "p.jpg"),
+            "'p.jpg' is not written as a",
+        ),
+        (("who-sees", "--place", "1,2"), "km from the nearest photo; check its CRS and the order"),
         (("who-sees", "--place", "1,2@EPSG:0"), "EPSG:0"),
+        (("who-sees", "--place", "1,2", "--sigma-v", "0.1"), "sigma_v: 0.1 m is of no height"),
         (("who-sees", "--place", "north"), "place"),
     ],
 )
@@ -204,9 +221,75 @@ def test_a_table_with_bad_lines_goes_on_and_tells_them(site: Path, tmp_path: Pat
     assert "lies outside" in told
 
 
-def test_a_session_measures_marks_of_one_name_by_their_number(site: Path) -> None:
-    from georef_gis.model.control import Mark
+def test_what_is_doubtful_about_a_photo_is_told_once(site: Path) -> None:
+    """Not once for each of its points."""
+    session = MeasureSession.open(Project.open(site, read_only=True))
+    told: list[str] = []
 
+    class Heard(Feedback):
+        def warn(self, message: str) -> None:
+            told.append(message)
+
+    (photo,) = list(session.site.photos)[:1]
+    some = [Mark(name=f"p{i}", photo=photo, u=100.0 * i, v=300.0) for i in range(1, 6)]
+    points = session.locate(some)
+    doubts = tuple(("photo A: blurred", *(["far"] if i == 2 else [])) for i in range(5))
+    warn_doubts(points.with_doubts(doubts), Heard())
+    assert told == ["p1, p2, p3 and 2 more: photo A: blurred", "p3: far"]
+
+
+def test_a_photo_that_is_not_there_stops_its_own_marks_only(site: Path, tmp_path: Path) -> None:
+    """Of a point with two good marks it is told, of one with none left it is the reason."""
+    name, table = marks(site)[0]["name"], tmp_path / "m.csv"
+    some = [m for m in marks(site) if m["name"] == name]
+    lines = [f"a,{m['photo']},{m['u']},{m['v']}" for m in some[:2]]
+    table.write_text("\n".join(["name,photo,u,v", *lines, "a,nix.jpg,1,2", "b,nix.jpg,3,4", ""]))
+    done = tool(site, "intersect", "--marks", table)
+    assert done.exit_code == 0, done.output
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert events[-1]["summary"]["measured"] == events[-1]["summary"]["refused"] == 1
+    told = [event["message"] for event in events if "nix.jpg" in event.get("message", "")]
+    assert "a: left out: " in told[1]
+    assert "m.csv, line 4: photo: no photo with a pose is called 'nix.jpg'" in told[1]
+    assert "m.csv, line 5: photo: no photo with a pose is called 'nix.jpg'" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("rows", "words", "line"),
+    [
+        ("a,nix.jpg,1,2\nb,nix.jpg,3,4", ("intersect",), "none of 2 points could be measured: "),
+        ("a,IMG_0004.JPG,936,2,479,3", ("locate",), "m.csv, line 2: '479' stands in column 5 of 4"),
+        ("IMG_0004.JPG,a,936,2,479,3", ("locate",), "m.csv, line 1: '3' stands in column 6 of 5"),
+        ("a,IMG_0004.JPG,9,9999", ("locate",), "line 2: a: photo IMG_0004: pixel (9, 9999) lies"),
+        ("1,IMG_0004.JPG,9,9", ("locate", "--pixel", "IMG_0004:5,5"), "the name of pixel number 1"),
+        ("a,IMG_0004.JPG,9,9", ("locate", "--target"), "m.csv: target: is the table of marks"),
+    ],
+    ids=[
+        "no photo",
+        "decimal commas",
+        "without a header",
+        "outside",
+        "two names",
+        "marks as target",
+    ],
+)
+def test_what_a_table_of_marks_does_wrong_is_told_with_file_and_line(
+    site: Path, tmp_path: Path, rows: str, words: tuple[str, ...], line: str
+) -> None:
+    table = tmp_path / "m.csv"
+    header = "" if rows.startswith("IMG") else "name,photo,u,v\n"
+    table.write_text(f"{header}{rows}\n")
+    more = [table] if words[-1] == "--target" else []
+    done = CliRunner().invoke(
+        cli.georef, [*words, *map(str, more), "--marks", str(table), "--project", str(site)]
+    )
+    assert done.exit_code == 2, done.output
+    assert line in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert rows in table.read_text()
+
+
+def test_a_session_measures_marks_of_one_name_by_their_number(site: Path) -> None:
     session = MeasureSession.open(Project.open(site, read_only=True))
     some = [
         Mark(name=m["name"], photo=m["photo"], u=float(m["u"]), v=float(m["v"]))

@@ -142,6 +142,21 @@ def test_a_photo_from_which_the_ground_hides_a_place_comes_last_or_not() -> None
     assert "A" in {one.photo_id for one in before}
 
 
+def test_a_mosaic_shows_a_place_as_a_photo_does_that_sees_it() -> None:
+    """Not as the nearest photo, from which a wall hides it: its pixel shows the wall."""
+    walls = walled()
+    a, _, c = walls.photos.photos
+    far = replace(c, pose=replace(c.pose, origin_enu=np.array([2.0, 75.0, 130.0])))
+    scene = Scene.of(walls.frame, walls.terrain, [a, far])
+    behind = np.array([0.0, 24.0, 0.0])
+    assert np.linalg.norm((behind - far.pose.origin_enu)[:2]) > np.linalg.norm(
+        (behind - a.pose.origin_enu)[:2]
+    )
+    (found,) = who_sees_on_mosaic(scene, scenes.FRAME.map_from_enu(behind)[:2])
+    assert found.photo_id == "C"
+    np.testing.assert_allclose(found.uv, far.project(behind), atol=0.05)  # px; search for ground
+
+
 def test_ground_that_is_not_known_is_told() -> None:
     with pytest.raises(GeometryError, match="the ground is not known there; give its height"):
         place_on_map(walled(), scenes.FRAME.map_from_enu([5000.0, 0.0, 0.0])[:2])

@@ -10,6 +10,7 @@ import pytest
 
 from georef_gis.errors import InputError
 from georef_gis.frames import Array
+from georef_gis.model.band_errors import BandErrors
 from georef_gis.model.camera import Camera
 from georef_gis.model.joint_errors import camera_sigmas
 from georef_gis.model.photo import OrientedPhoto, Photo
@@ -17,6 +18,7 @@ from georef_gis.model.photo_stack import PhotoStack
 from georef_gis.model.pixel_derivatives import CAMERA_NAMES
 from georef_gis.model.pose import Pose, PoseKind
 from georef_gis.project import Project
+from georef_gis.project.band_covariance import save_band_covariance
 from georef_gis.project.columns_file import write_columns
 from georef_gis.project.joint_covariance import load_joint_covariance, save_joint_covariance
 from georef_gis.project.records import camera_row
@@ -105,6 +107,37 @@ def test_a_block_too_large_to_keep_has_a_stated_law_and_its_cameras_row(project:
     assert C[0, 6] / 4.0 == pytest.approx(np.exp(-20.0 / (25.0 * 50.0)))
     np.testing.assert_allclose(C[12:23, 12:23], spd(11, 9))
     assert not C[:12, 12:23].any()
+
+
+def banded(full: Array, n: int) -> BandErrors:
+    """Band of the normal matrix of a covariance of n poses and what they share."""
+    normal = np.linalg.inv(full)
+    H, E = normal[: 6 * n, : 6 * n], normal[: 6 * n, 6 * n :]
+    scale, inverse = 1.0 / np.sqrt(np.diag(H)), np.linalg.inv(H)
+    factor = np.linalg.cholesky(H * scale[:, None] * scale)
+
+    def band(lower: Array) -> Array:
+        rows = [np.append(np.diag(lower, -k), np.zeros(k)) for k in range(6 * n)]
+        return np.array(rows)
+
+    return BandErrors(
+        factor=band(factor), inverse=band(inverse), position=np.arange(6 * n), scale=scale,
+        to_shared=inverse @ E, shared=full[6 * n :, 6 * n :],
+    )  # fmt: skip
+
+
+def test_a_large_block_is_known_by_its_band_as_a_small_one_by_its_whole(project: Project) -> None:
+    ids = ("c", "a", "b")
+    kinds: dict[str, PoseKind] = {"a": "adjusted", "b": "adjusted"}
+    full = keep_covariance(project, ids)
+    whole = load_errors(project, stack_of(kinds), kinds, height=50.0)
+    (project.adjustment / "covariance.npz").unlink()
+    path = project.adjustment / "covariance_band.npz"
+    save_band_covariance(path, photo_ids=ids, shared_names=SHARED, errors=banded(full, 3))
+    errors = load_errors(project, stack_of(kinds), kinds, height=50.0)
+    assert [source.kind for source in errors.sources] == [ADJUSTED]
+    # rounding of an inverse of an inverse
+    np.testing.assert_allclose(errors.joint([0, 1]), whole.joint([0, 1]), rtol=1e-5, atol=1e-5)
 
 
 def test_a_covariance_that_lacks_a_photo_is_not_used_for_some(project: Project) -> None:

@@ -84,6 +84,11 @@ class BandedFactor:
         out = cho_solve_banded((self._band, True), inside, check_finite=False)
         return np.asarray(out[self.order.position])
 
+    @property
+    def lower(self) -> Array:
+        """Cholesky factor of the poses' part, a lower band (width, 6 n) in the band's order."""
+        return np.asarray(self._band)
+
     def solve(self, rhs: Array) -> Array:
         """Solution for a right side of poses, then shared unknowns; (N,) or (N, k)."""
         n = len(self.scale)

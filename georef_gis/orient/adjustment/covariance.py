@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.frames import Array
+from georef_gis.model.band_errors import BandErrors
 from georef_gis.orient.adjustment.banded import BandedFactor
 from georef_gis.orient.adjustment.covariance_kernels import point_covariances, point_rows
 from georef_gis.orient.adjustment.dense import DenseFactor
@@ -85,6 +86,24 @@ class Covariances:
         spread = np.ascontiguousarray(to_shared @ shared)
         place = self._factor.order.position
         return none, band, place, np.ascontiguousarray(to_shared), spread, shared
+
+    def band_errors(self) -> BandErrors | None:
+        """What a large block keeps to be asked later; None of one that has no band."""
+        if not isinstance(self._factor, BandedFactor):
+            return None
+        band, to_shared, shared = self._selected()
+        to_shared = to_shared.copy()
+        if self.with_level:
+            # the level lifts every photo
+            to_shared[2::6, -1] -= 1.0
+        return BandErrors(
+            factor=self._factor.lower,
+            inverse=band * self._factor_scale,
+            position=self._factor.order.position,
+            scale=self._factor.scale * np.sqrt(self._factor_scale),
+            to_shared=to_shared,
+            shared=shared * self._factor_scale,
+        )
 
     # -- rows of what is asked for -------------------------------------------------------------
 

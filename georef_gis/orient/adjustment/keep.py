@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from georef_gis.model.tie_points import GroundPoints, TiePoints
+from georef_gis.project.band_covariance import save_band_covariance
 from georef_gis.project.columns_file import columns_of, write_columns
 from georef_gis.project.joint_covariance import save_joint_covariance
 
@@ -16,9 +17,12 @@ if TYPE_CHECKING:
     from georef_gis.orient.adjustment.adjust import Adjusted
 
 POINTS, RESIDUALS, COVARIANCE = "points.npz", "residuals.npz", "covariance.npz"
+BAND = "covariance_band.npz"
 POINTS_KIND, TIES_KIND = "ground points", "tie points"
 # unknowns up to which the whole covariance is kept: 128 MB
 MOST_KEPT = 4000
+# numbers up to which the band of a larger block is kept, with that of its inverse: 400 MB
+MOST_IN_BAND = 50_000_000
 
 
 def save_ties(path: Path, ties: TiePoints) -> None:
@@ -52,7 +56,7 @@ def load_ties(path: Path) -> TiePoints:
 
 
 def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
-    """Write points, residuals and, for blocks up to `MOST_KEPT` unknowns, their covariance."""
+    """Write points, residuals and the covariance: whole, of a large block as its band."""
     points, ties = adjusted.points, adjusted.problem.ties
     files = {name: folder / name for name in (POINTS, RESIDUALS)}
     write_columns(
@@ -75,7 +79,19 @@ def save_adjusted(folder: Path, adjusted: Adjusted) -> dict[str, Path]:
     kept = folder / COVARIANCE
     if adjusted.covariances.size > MOST_KEPT:
         kept.unlink(missing_ok=True)
-        return files
+        kept = folder / BAND
+        band = adjusted.covariances.band_errors()
+        if band is None or band.factor.size + band.inverse.size > MOST_IN_BAND:
+            kept.unlink(missing_ok=True)
+            return files
+        save_band_covariance(
+            kept,
+            photo_ids=adjusted.block.photo_ids,
+            shared_names=adjusted.block.shared_names,
+            errors=band,
+        )
+        return {**files, BAND: kept}
+    (folder / BAND).unlink(missing_ok=True)
     save_joint_covariance(
         kept,
         photo_ids=adjusted.block.photo_ids,
