@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from exports.schemas import ASSETS
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
 
 # deg; 0.1 mm
 DECIMALS = 9
-VECTORS = ("photos", "footprints", "track", "control")
+VECTORS = ("photos", "footprints", "track", "control", *ASSETS)
 # Layers that are there only after work that may not have been done: an empty one is refused.
-OPTIONAL = ("control", "tie_points")
+OPTIONAL = {"control", "tie_points", *ASSETS}
 
 
 class GeoJsonOptions(p.Parameters):
@@ -52,7 +53,7 @@ class GeoJson(Exporter[GeoJsonOptions]):
         from exports.site import SiteLayers
 
         site = SiteLayers.from_project(source.project)
-        names: tuple[str, ...] = VECTORS if source.kind == "site" else (source.layer,)
+        names = VECTORS if source.kind == "site" else site.names_of(source.layer)
         if source.kind == "site" and options.tie_points:
             names = (*VECTORS, "tie_points")
         check_cancelled(feedback)
@@ -69,10 +70,10 @@ def write_geojson(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTO
     Raises
     ------
     ExportError
-        If the one layer that is asked for is one that the project has not.
+        If all that is asked for is what the project has not.
     """
     layers = [site.layer(name) for name in names]
-    if len(layers) == 1 and names[0] in OPTIONAL and not layers[0].features:
+    if set(names) <= OPTIONAL and not any(layer.features for layer in layers):
         raise ExportError(site.why_empty(names))
     features = [
         _feature(layer, feature, named=len(layers) > 1)

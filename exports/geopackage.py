@@ -52,7 +52,7 @@ class GeoPackage(Exporter[GeoPackageOptions]):
         from exports.site import LAYERS, SiteLayers
 
         site = SiteLayers.from_project(source.project)
-        names: tuple[str, ...] = LAYERS if source.kind == "site" else (source.layer,)
+        names = LAYERS if source.kind == "site" else site.names_of(source.layer)
         if source.kind == "site" and not options.tie_points:
             names = tuple(name for name in LAYERS if name != "tie_points")
         check_cancelled(feedback)

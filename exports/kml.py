@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Literal, cast
 
+from exports.schemas import ASSETS
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from exports.kml_picture import MosaicPicture
     from exports.site import SiteLayers
 
-VECTORS = ("photos", "footprints", "track", "control")
+VECTORS = ("photos", "footprints", "track", "control", *ASSETS)
 CRS = "EPSG:4326"
 HEIGHT_KIND = "orthometric (EGM96)"
 
@@ -51,7 +52,7 @@ class KmlOptions(p.Parameters):
 
 
 class Kmz(Exporter[KmzOptions]):
-    """Site for Google Earth: photos, footprints, flight track, control and mosaic in one KMZ.
+    """Site for Google Earth: photos, footprints, track, control, assets and mosaic in one KMZ.
 
     Photo points and the track stand at their height above sea level (EGM96), footprints lie on
     the ground. The mosaic is a pyramid of tiles that load as one comes closer.
@@ -76,7 +77,7 @@ class Kmz(Exporter[KmzOptions]):
 
 
 class Kml(Exporter[KmlOptions]):
-    """Photos, footprints, flight track and control as one plain KML, without pictures."""
+    """Photos, footprints, flight track, control and assets as one plain KML, without pictures."""
 
     id = "kml"
     name = "KML (vectors)"
@@ -92,7 +93,7 @@ class Kml(Exporter[KmlOptions]):
         from exports.site import SiteLayers
 
         site = SiteLayers.from_project(source.project)
-        names = VECTORS if source.kind == "site" else (source.layer,)
+        names = VECTORS if source.kind == "site" else site.names_of(source.layer)
         report = write_kml(site, target, names)
         for warning in report.warnings:
             feedback.warn(warning)
@@ -114,7 +115,7 @@ def write_kml(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTORS) 
         raise ExportError("KML cannot hold cameras, which have no place; use GeoPackage")
     if "tie_points" in layers:
         raise ExportError("tie points are too many for KML; use GeoPackage")
-    if names == ("control",) and not layers["control"].features:
+    if set(names) <= {"control", *ASSETS} and not any(x.features for x in layers.values()):
         raise ExportError(site.why_empty(names))
     with target.open("wb") as stream:
         write_document(stream, site, layers, thumbnails={})

@@ -132,8 +132,10 @@ def _plain(field: Field, value: Value) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def balloon(layer: Layer, feature: Feature, names: Iterable[str], image: str = "") -> Element:
-    """Description: a picture and a table in plain HTML, which every viewer shows.
+def balloon(
+    layer: Layer, feature: Feature, names: Iterable[str], *, title: str, image: str = ""
+) -> Element:
+    """Description: title, picture and table in plain HTML, which every viewer shows.
 
     Parameters
     ----------
@@ -150,7 +152,8 @@ def balloon(layer: Layer, feature: Feature, names: Iterable[str], image: str = "
         if feature.values.get(name) is not None
     )
     picture = f'<img src="{html.escape(image)}" alt=""/><br/>' if image else ""
-    text = clean(f'{picture}<table border="0" cellpadding="2">{rows}</table>')
+    head = f"<h3>{html.escape(title)}</h3>"
+    text = clean(f'{head}{picture}<table border="0" cellpadding="2">{rows}</table>')
     out = element("description")
     # html.escape leaves no ">" in a value, so "]]>" cannot end the section early.
     out.text = etree.CDATA(text)
@@ -226,10 +229,13 @@ def _sides(bounds: Mapping[str, float]) -> list[Element]:
 
 
 def balloon_style() -> Element:
-    """Balloon with the name and the description and nothing else (no driving directions)."""
+    """Balloon with the description and nothing else (no driving directions).
+
+    Not with $[name]: a viewer would take what stands in a name for HTML.
+    """
     style = element("BalloonStyle")
     text = element("text")
-    text.text = etree.CDATA("<h3>$[name]</h3>$[description]")
+    text.text = etree.CDATA("$[description]")
     style.append(text)
     return style
 

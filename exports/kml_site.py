@@ -1,4 +1,4 @@
-"""The KML of a site: photo points, footprints, flight track and surveyed points."""
+"""The KML of a site: photo points, footprints, flight track, surveyed points and assets."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import BinaryIO
 import numpy as np
 
 from exports import kml_elements as k
-from exports.schemas import Feature, Layer, Value
+from exports.schemas import ASSETS, ELLIPSES, Feature, Layer, Value
 from exports.site import SiteLayers
 
+ASSET_STYLES = {"asset_points": "asset", ELLIPSES: "ellipse"}
 ICON = "files/camera.png"
 # What a person asks of a photo; the whole table stands in ExtendedData.
 PHOTO_TABLE = (
@@ -53,9 +54,16 @@ def write_document(
         k.point_style("photo", icon),
         k.point_style("photo-doubtful", icon, colour="ff00a5ff"),
         k.point_style("control", "", colour="ff00ff00"),
+        k.point_style("asset", "", colour="ff00ffff"),
+        k.line_style("asset-shape", colour="ff00ffff", width=3.0, fill="4000ffff"),
+        k.line_style("ellipse", colour="ff00ffff", width=1.0, fill="2600ffff"),
         k.line_style("footprint", colour="ffffc04d", width=1.2, fill="1affc04d"),
         k.line_style("track", colour="ff00ffff", width=2.0),
-        *(k.schema(layer) for layer in layers.values()),
+        *(
+            k.schema(layer)
+            for layer in layers.values()
+            if layer.features or layer.name not in ASSETS
+        ),
         overlay,
     ]
     with k.open_document(stream) as document:
@@ -75,6 +83,8 @@ def _placemarks(layer: Layer, thumbnails: Mapping[str, str]) -> Iterator[k.Eleme
             kind, placemark = "track", _track(layer, feature)
         elif layer.name == "control":
             kind, placemark = "control", _control(layer, feature)
+        elif layer.name in ASSETS:
+            kind, placemark = layer.name, _asset(layer, feature)
         else:
             image = thumbnails.get(str(feature.values["photo"]), "")
             kind, placemark = "photo", _photo(layer, feature, image)
@@ -96,8 +106,8 @@ def _statement(site: SiteLayers) -> str:
 
 def _photo(layer: Layer, feature: Feature, image: str) -> k.Element:
     style = "photo-doubtful" if feature.values["doubts"] else "photo"
-    balloon = k.balloon(layer, feature, PHOTO_TABLE, image)
-    name = feature.values["photo"]
+    name = str(feature.values["photo"])
+    balloon = k.balloon(layer, feature, PHOTO_TABLE, title=name, image=image)
     return _placemark(layer, feature, _point(feature), name=name, style=style, balloon=balloon)
 
 
@@ -105,13 +115,31 @@ def _control(layer: Layer, feature: Feature) -> k.Element:
     return _placemark(layer, feature, _point(feature), name=feature.values["name"], style="control")
 
 
+def _asset(layer: Layer, feature: Feature) -> k.Element:
+    """An asset on the viewer's own ground, which may lie above its height and would hide it."""
+    name = str(feature.values["name"] or feature.values["class"] or "")
+    style = ASSET_STYLES.get(layer.name, "asset-shape")
+    shape = k.element(
+        layer.geometry,
+        None if layer.geometry == "Point" else k.element("tessellate", text="1"),
+        k.element("altitudeMode", text="clampToGround"),
+        _outline(feature) if layer.geometry == "Polygon" else k.coordinates(feature.geo),
+    )
+    if layer.name == ELLIPSES:
+        name = f"ellipse of {name}"
+    return _placemark(layer, feature, shape, name=name, style=style)
+
+
+def _outline(feature: Feature) -> k.Element:
+    return k.element("outerBoundaryIs", k.element("LinearRing", k.coordinates(feature.geo)))
+
+
 def _footprint(layer: Layer, feature: Feature) -> k.Element:
-    ring = k.element("LinearRing", k.coordinates(feature.geo))
     polygon = k.element(
         "Polygon",
         k.element("tessellate", text="1"),
         k.element("altitudeMode", text="clampToGround"),
-        k.element("outerBoundaryIs", ring),
+        _outline(feature),
     )
     return _placemark(layer, feature, polygon, name=feature.values["photo"], style="footprint")
 
@@ -148,7 +176,7 @@ def _placemark(
 ) -> k.Element:
     """Placemark of a feature; its balloon shows all fields unless another is given."""
     if balloon is None:
-        balloon = k.balloon(layer, feature, [f.name for f in layer.fields])
+        balloon = k.balloon(layer, feature, [f.name for f in layer.fields], title=str(name))
     return k.element(
         "Placemark",
         k.element("name", text=str(name)),

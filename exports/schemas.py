@@ -9,6 +9,10 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from georef_gis.frames import Array
 
+# Layers of mapped assets, the last one of their error ellipses
+ELLIPSES = "asset_ellipses"
+ASSETS = ("asset_points", "asset_lines", "asset_polygons", ELLIPSES)
+
 FieldKind = Literal["text", "real", "integer", "flag"]
 GeometryKind = Literal["Point", "LineString", "Polygon", "None"]
 Value = str | float | int | bool | None
@@ -186,4 +190,39 @@ TIE_POINT_FIELDS = _fields(
     ("sigma_n_m", "real", "m", "One sigma towards true north, the poses' share included"),
     ("sigma_u_m", "real", "m", "One sigma of the heights above ellipsoid and geoid"),
     ("sigma_u_block_m", "real", "m", "The same without a level that cameras and ground share"),
+)
+ASSET_FIELDS = _fields(
+    ("asset_id", "text", "", "Id of the asset"),
+    ("class", "text", "", "Name of its class"),
+    ("name", "text", "", "Name that it was given"),
+    ("note", "text", "", "Note"),
+    ("attributes", "text", "", "Attributes of its class, a JSON object"),
+    ("lon_deg", "real", "deg", "Longitude of its first vertex"),
+    ("lat_deg", "real", "deg", "Latitude of its first vertex"),
+    ("height_ellipsoidal_m", "real", "m", "Height of its first vertex above the ellipsoid"),
+    ("height_orthometric_m", "real", "m", "Height of its first vertex above the EGM96 geoid"),
+    ("sigma_e_m", "real", "m", "One sigma towards grid east, of the worst vertex"),
+    ("sigma_n_m", "real", "m", "One sigma towards grid north, of the worst vertex"),
+    ("sigma_u_m", "real", "m", "One sigma of the height, of the worst vertex"),
+    ("corr_en", "real", "1", "Correlation of the errors in east and north"),
+    ("semi_major_m", "real", "m", "Semi-major axis of the ellipse that holds the place"),
+    ("semi_minor_m", "real", "m", "Semi-minor axis of that ellipse"),
+    ("azimuth_deg", "real", "deg", "Azimuth of its major axis, clockwise from grid north"),
+    ("conf", "real", "1", "Probability with which the ellipse holds the place"),
+    ("dof", "integer", "", "Degrees of freedom of the measurement; 0 from one photo"),
+    ("n_rays", "integer", "", "Number of photos it was measured in"),
+    ("method", "text", "", "locate (one photo), intersect (several), or edited by hand"),
+    ("photo_ids", "text", "", "Photos it was clicked in, a JSON list"),
+    ("pixels", "text", "", "Its clicks, JSON: photo, u, v, vertex, sigma px"),
+    ("created", "text", "", "When it was stored, UTC, ISO 8601"),
+    ("changed", "text", "", "When it was changed last, UTC, ISO 8601"),
+)
+ELLIPSE_FIELDS = _fields(
+    ("asset_id", "text", "", "Id of the asset"),
+    ("class", "text", "", "Name of its class"),
+    ("name", "text", "", "Name that it was given"),
+    ("semi_major_m", "real", "m", "Semi-major axis"),
+    ("semi_minor_m", "real", "m", "Semi-minor axis"),
+    ("azimuth_deg", "real", "deg", "Azimuth of the major axis, clockwise from grid north"),
+    ("conf", "real", "1", "Probability with which it holds the place"),
 )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from exports.schemas import Layer
+from exports.schemas import ASSETS, Layer
 from exports.site_values import SitePhoto, SiteValues
 from georef_gis.errors import ExportError
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["HEIGHTS", "LAYERS", "SiteLayers", "SitePhoto"]
 
-LAYERS = ("photos", "footprints", "track", "cameras", "control", "tie_points")
+LAYERS = ("photos", "footprints", "track", "cameras", "control", "tie_points", *ASSETS)
 HEIGHTS = "ellipsoidal and orthometric (EGM96)"
 
 
@@ -34,17 +35,22 @@ class SiteLayers(SiteValues):
         ExportError
             If it has no photos yet.
         """
+        from exports.asset_layers import unreadable
         from exports.site_reader import read_site
 
-        return cls(**read_site(project, best=best))
+        site = cls(**read_site(project, best=best))
+        lost = unreadable(site.assets)
+        told = (f"assets left out, as they have no geometry of their kind: {lost}",) if lost else ()
+        return replace(site, warnings=(*site.warnings, *told))
 
     @cached_property
     def layers(self) -> Mapping[str, Layer]:
         """Layers by name, those of `LAYERS` but tie points, which are many."""
         from exports.adjusted_layers import control_layer
+        from exports.asset_layers import asset_layers
         from exports.site_layers import build_layers
 
-        return {**build_layers(self), "control": control_layer(self)}
+        return {**build_layers(self), "control": control_layer(self), **asset_layers(self)}
 
     @cached_property
     def tie_points(self) -> Layer:
@@ -80,7 +86,14 @@ class SiteLayers(SiteValues):
             return f"{text}: the poses are not adjusted; run `georef run`"
         if "control" in names and not self.control:
             return f"{text}: the project has no control points; name a file in [control]"
+        if set(names) <= set(ASSETS):
+            return f"{text}: no assets are mapped; `georef assets --clicks` or `georef serve`"
         return text
+
+    @staticmethod
+    def names_of(layer: str) -> tuple[str, ...]:
+        """Layers that one of the toolbox stands for: `assets` are four, others themselves."""
+        return ASSETS if layer == "assets" else (layer,)
 
     def layer(self, name: str) -> Layer:
         """One layer by its name here or in the toolbox (`poses` are the photos').

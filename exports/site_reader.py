@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from exports.site_values import SiteControl, SitePhoto
-from georef_gis.errors import ExportError
+from georef_gis.errors import ExportError, InputError
+from georef_gis.project.asset_layers import ASSETS_FILE, AssetRow, read_asset_rows
 from georef_gis.project.records import camera_of, footprint_of, load_frame, photo_of, pose_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from georef_gis.geodesy import MapFrame
     from georef_gis.model.pose import Pose
     from georef_gis.project import Project
 
@@ -61,9 +63,10 @@ def read_site(project: Project, *, best: bool = False) -> dict[str, Any]:
             f"{project.adjustment / POINTS} is not there: no tie points are written; run "
             "`georef adjust --force`",
         )
+    frame = load_frame(database)
     return dict(
         name=project.settings.project.name or project.folder.name,
-        frame=load_frame(database),
+        frame=frame,
         photos=tuple(
             _site_photo(project, row, poses.get(row["photo_id"]), grounds)
             for row in database.rows("photo")
@@ -75,10 +78,25 @@ def read_site(project: Project, *, best: bool = False) -> dict[str, Any]:
         epoch_gps=float(database.meta("epoch") or 0.0),
         facts=_facts(database.rows("run")) | grounds.facts(kinds) | _adjustment_facts(report),
         control=_control(database.rows("control"), database.rows("mark"), report),
+        assets=_assets(project, frame),
         adjustment=project.adjustment if (adjusted and kept) else None,
         accuracy=accuracy,
         warnings=warnings,
     )
+
+
+def _assets(project: Project, frame: MapFrame) -> tuple[AssetRow, ...]:
+    """Mapped assets.
+
+    Raises
+    ------
+    ExportError
+        If their file cannot be read.
+    """
+    try:
+        return tuple(read_asset_rows(project.folder / ASSETS_FILE, frame.horizontal.to_wkt()))
+    except InputError as error:
+        raise ExportError(str(error)) from error
 
 
 def _report(path: Path) -> dict[str, Any]:

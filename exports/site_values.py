@@ -14,6 +14,7 @@ from georef_gis.model.camera import Camera
 from georef_gis.model.layers import Footprint
 from georef_gis.model.photo import Photo
 from georef_gis.model.pose import Pose
+from georef_gis.project.asset_layers import AssetRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,6 +89,8 @@ class SiteValues:
         File of the mosaic, if there is one.
     facts
         Name -> text, of the run and of the project.
+    assets
+        Mapped assets and their error ellipses, as `assets.gpkg` has them.
     adjustment
         Folder of the adjustment that most of the poses are from, if one is.
     accuracy
@@ -105,6 +108,7 @@ class SiteValues:
     epoch_gps: float = 0.0
     facts: Mapping[str, str] = field(default_factory=dict)
     control: tuple[SiteControl, ...] = ()
+    assets: tuple[AssetRow, ...] = ()
     adjustment: Path | None = None
     accuracy: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ _TRAILING_NUMBER = re.compile(r"(\d+)(?:\.\w+)?$")
 _NAME = "\0"
 # A name before the first colon may be another thing's.
 _NO_PHOTO = ("camera ", "tool ", "project.toml")
+_LINE_OF_FILE = re.compile(r", line \d+$")
 
 
 def grouped(messages: Sequence[str]) -> list[str]:
@@ -35,6 +36,8 @@ def _split(message: str) -> tuple[str, str]:
     head, colon, text = message.partition(": ")
     name = head.removeprefix("photo ")
     if not colon or not name or "\n" in name or name.startswith(_NO_PHOTO):
+        return "", message
+    if _LINE_OF_FILE.search(name):
         return "", message
     for spelling in (name, PurePath(name).name):
         text = re.sub(rf"(?<!\w){re.escape(spelling)}(?!\w)", _NAME, text)

@@ -21,6 +21,7 @@ from georef_gis.errors import InputError
 from georef_gis.project import geopackage
 from georef_gis.project.geometry import from_blob, geometry_type, to_blob
 from georef_gis.project.schema import SCHEMA_NUMBER, TABLES, Table
+from georef_gis.project.spatial_index import add_functions
 
 # s; a commit of another program, such as QGIS, may take this long
 BUSY_TIMEOUT = 30.0
@@ -82,6 +83,7 @@ class Database:
             check_same_thread=False,
         )
         connection.row_factory = sqlite3.Row
+        add_functions(connection)
         return connection
 
     def _check(self) -> None:

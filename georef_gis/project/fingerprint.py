@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from georef_gis.errors import InputError
+
 # bytes hashed at either end of a file
 EDGE = 65_536
 # files from which reading in threads pays
@@ -30,6 +32,11 @@ def fingerprint(path: Path, *, whole: bool = False) -> str:
     -------
     str
         Parts joined by ``-``; empty if there is no such file.
+
+    Raises
+    ------
+    InputError
+        If it may not be read.
     """
     try:
         with path.open("rb", buffering=0) as stream:
@@ -45,6 +52,9 @@ def fingerprint(path: Path, *, whole: bool = False) -> str:
             return "-".join(parts)
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
         return ""
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}; check its permission",
+                         source=str(path)) from error  # fmt: skip
 
 
 def is_same(recorded: str, current: str) -> bool:

@@ -73,10 +73,11 @@ def create(connection: sqlite3.Connection, tables: Iterable[Table]) -> None:
         REQUIRED_SRS,
     )
     for table in tables:
-        _create_table(connection, table)
+        add_table(connection, table)
 
 
-def _create_table(connection: sqlite3.Connection, table: Table) -> None:
+def add_table(connection: sqlite3.Connection, table: Table) -> None:
+    """Add an empty table, a layer without a CRS yet; the caller holds the transaction."""
     columns = ["fid INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL"]
     if table.geometry:
         columns.append(f"geom {table.geometry}")

@@ -30,6 +30,8 @@ LAYER_KINDS: dict[str, str] = {
     "footprints": "vector",
     "control": "vector",
     "tie_points": "vector",
+    # points, lines, areas and error ellipses of what was mapped
+    "assets": "vector",
     # The first of a kind is the default of an exporter that accepts it.
     "mosaic": "raster",
     "orthos": "raster",
@@ -193,6 +195,13 @@ class ExportTool(Algorithm[p.Parameters]):
             "features": report.features,
         }
         return Result(outputs={"target": target}, summary=summary, warnings=tuple(report.warnings))
+
+    def inputs(self, context: Context, parameters: p.Parameters) -> list[Path]:
+        """Assets, which are edited outside of any run."""
+        from georef_gis.project.asset_layers import ASSETS_FILE
+
+        has_features = {"site", "vector"} & set(self.exporter.accepts)
+        return [context.require_project().folder / ASSETS_FILE] if has_features else []
 
     def _default_target(self, layer: str) -> str:
         own = self.exporter.target

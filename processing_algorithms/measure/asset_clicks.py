@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from georef_gis.errors import InputError
+from georef_gis.measure.assets.asset import FEWEST
+from georef_gis.measure.assets.domain import checked_text
 
 if TYPE_CHECKING:
     from georef_gis.frames import Array
@@ -57,12 +59,7 @@ def read_clicks(path: Path, domain: Domain) -> list[Clicked]:
 
     data = read_lines(path).data
     separator = separator_of(data[0][1]) if data else ","
-    names = [cell.strip() for cell in split(data[0][1], separator)] if data else []
-    missing = [column for column in _COLUMNS if column not in names]
-    if missing:
-        raise InputError(f"has no column {', '.join(missing)}; the first line must name "
-                         f"{', '.join(_COLUMNS)}", source=str(path))  # fmt: skip
-    columns = {name: k for k, name in enumerate(names)}
+    columns = _columns(split(data[0][1], separator) if data else [], str(path))
     groups: dict[str, list[Row]] = {}
     for line, text in data[1:]:
         row = Row(path=path, line=line, cells=split(text, separator), columns=columns)
@@ -70,6 +67,20 @@ def read_clicks(path: Path, domain: Domain) -> list[Clicked]:
     if not groups:
         raise InputError("holds no clicks below its columns", source=str(path))
     return [_clicked(rows, domain) for rows in groups.values()]
+
+
+def _columns(cells: Sequence[str], source: str) -> dict[str, int]:
+    """Number of each column by its name; our own may be written in capitals."""
+    names = [cell.strip() for cell in cells]
+    names = [name.lower() if name.lower() in _OWN else name for name in names]
+    missing = [column for column in _COLUMNS if column not in names]
+    if missing:
+        raise InputError(f"has no column {', '.join(missing)}; the first line must name "
+                         f"{', '.join(_COLUMNS)}", source=source)  # fmt: skip
+    twice = next((name for name in names if name and names.count(name) > 1), None)
+    if twice:
+        raise InputError(f"has two columns '{twice[:40]}'; keep one", source=source)
+    return {name: k for k, name in enumerate(names) if name}
 
 
 def _clicked(rows: Sequence[Any], domain: Domain) -> Clicked:
@@ -88,16 +99,20 @@ def _clicked(rows: Sequence[Any], domain: Domain) -> Clicked:
             if name not in _OWN
         }
         attributes = found.read(values)
-    except InputError as error:
+        name = checked_text(first.text("asset"))
+        note = checked_text(next((row.text("note") for row in rows if row.text("note")), ""))
+    except (InputError, ValueError) as error:
         raise InputError(str(error), source=first.source) from error
-    return Clicked(
-        kind=kind,
-        name=first.text("asset"),
-        clicks=_clicks(rows, is_point=found.geometry == "point"),
-        attributes=attributes,
-        note=next((row.text("note") for row in rows if row.text("note")), ""),
-        source=first.source,
-    )
+    clicks = _clicks(rows, is_point=found.geometry == "point")
+    count = len({click.vertex for click in clicks})
+    if count < FEWEST[found.geometry]:
+        raise InputError(
+            f"{kind} '{name[:40]}' has {count} vertices; a {found.geometry} has "
+            f"{FEWEST[found.geometry]} or more",
+            source=first.source,
+        )
+    return Clicked(kind=kind, name=name, clicks=clicks, attributes=attributes, note=note,
+                   source=first.source)  # fmt: skip
 
 
 def _clicks(rows: Sequence[Any], *, is_point: bool) -> tuple[Click, ...]:
@@ -167,6 +182,15 @@ def _with_ids(session: MeasureSession, one: Clicked) -> Clicked:
         clicks = tuple(replace(c, photo_id=session.photo_id(c.photo_id)) for c in one.clicks)
     except InputError as error:
         raise InputError(str(error), source=one.source) from error
+    seen: set[tuple[str, int]] = set()
+    for click in clicks:
+        if (click.photo_id, click.vertex) in seen:
+            raise InputError(
+                f"photo {click.photo_id} shows {one.kind} '{one.name[:40]}' twice; keep one click, "
+                "or give another asset another name",
+                source=one.source,
+            )
+        seen.add((click.photo_id, click.vertex))
     return replace(one, clicks=clicks)
 
 
@@ -324,6 +348,7 @@ def sights_of(session: MeasureSession, assets: Sequence[Asset]) -> dict[str, Sig
                     path=photo.photo.path,
                     uv=np.array([[c.u, c.v] for c in clicks]),
                     gsd=distance / photo.camera.fx,
+                    closed=asset.shape == "polygon",
                 )
             )
         if sights:

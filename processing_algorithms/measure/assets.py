@@ -11,7 +11,7 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.measure.assets.asset import Asset, Draft
+    from georef_gis.measure.assets.asset import Asset
     from georef_gis.measure.assets.store import AssetStore
     from georef_gis.project import Project
     from processing_algorithms.measure.asset_clicks import MeasuredDraft
@@ -20,11 +20,14 @@ if TYPE_CHECKING:
 COLUMNS = (
     "asset_id", "class", "name", "easting", "northing", "height_ellipsoidal_m", "vertices",
     "sigma_e_m", "sigma_n_m", "sigma_u_m", "corr_en", "semi_major_m", "semi_minor_m",
-    "azimuth_deg", "conf", "dof", "n_rays", "method", "photos", "attributes", "note", "revision",
-    "created", "changed", "problems",
+    "azimuth_deg", "conf", "dof", "n_rays", "method", "photos", "pixels", "attributes", "note",
+    "revision", "created", "changed", "problems",
 )  # fmt: skip
 # Doubts of single assets that are told, before the rest is counted.
 _MOST_TOLD = 10
+_MOST_NAMES = 5
+# A spreadsheet runs a cell that begins so.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 class AssetsParameters(p.Parameters):
@@ -82,9 +85,7 @@ class Assets(Algorithm[AssetsParameters]):
                 counts["measured_again"] = _remeasure(store, session, parameters, feedback)
             assets = store.assets()
             outputs = {"layers": store.path}
-        for asset in assets:
-            for problem in asset.problems:
-                feedback.warn(f"{asset.kind} {asset.name or asset.id}: {problem}")
+        _tell_problems(assets, feedback)
         outputs["table"] = _write_table(project, parameters.target, assets)
         if session is not None and parameters.thumbnails:
             outputs["thumbnails"] = _pictures(project, session, assets, feedback)
@@ -126,29 +127,36 @@ def _import(
     clicked = read_clicks(parameters.clicks, store.domain)
     measured = measure_clicked(session, clicked, sigma_px=parameters.click)
     _tell(measured, feedback)
-    drafts = [one.draft for one in measured if one.draft is not None]
-    if not drafts:
+    placed = [one for one in measured if one.draft is not None]
+    if not placed:
         raise InputError(f"none of its {len(measured)} assets has a place; see the warnings",
                          source=str(parameters.clicks))  # fmt: skip
     old: dict[tuple[str, str], list[Asset]] = {}
     for asset in store.assets():
         old.setdefault((asset.kind, asset.name), []).append(asset)
     with store.step(f"clicks of {parameters.clicks.name}"):
-        for draft in drafts:
-            _store(store, draft, old.get((draft.kind, draft.name), []) if draft.name else [])
-    return len(drafts)
+        for one in placed:
+            same = old.get((one.clicked.kind, one.clicked.name), []) if one.clicked.name else []
+            _store(store, one, same)
+    return len(placed)
 
 
-def _store(store: AssetStore, draft: Draft, same: Sequence[Asset]) -> None:
+def _store(store: AssetStore, one: MeasuredDraft, same: Sequence[Asset]) -> None:
     """Add an asset, or measure the one of its class and name anew."""
     from georef_gis.errors import InputError
     from georef_gis.measure.assets.store import Change
 
+    draft, where = one.draft, one.clicked.source
+    assert draft is not None
     if len(same) > 1:
         raise InputError(f"{len(same)} assets of class {draft.kind} have the name "
-                         f"'{draft.name[:40]}'; give them names of their own")  # fmt: skip
+                         f"'{draft.name[:40]}'; give them names of their own",
+                         source=where)  # fmt: skip
     if not same:
-        store.add(draft)
+        try:
+            store.add(draft)
+        except InputError as error:
+            raise InputError(str(error), source=where) from error
         return
     change = Change(
         vertices=draft.vertices,
@@ -194,13 +202,32 @@ def _tell(measured: Sequence[MeasuredDraft], feedback: Feedback) -> None:
         feedback.warn(f"and {len(lines) - _MOST_TOLD} lines more of the kind")
 
 
+def _tell_problems(assets: Sequence[Asset], feedback: Feedback) -> None:
+    """Warn of what does not fit, once for all assets that have it."""
+    found: dict[str, list[str]] = {}
+    for asset in assets:
+        for problem in asset.problems:
+            found.setdefault(problem, []).append(f"{asset.kind} {asset.name[:40] or asset.id}")
+    for problem, names in found.items():
+        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+        feedback.warn(f"{problem} [{', '.join(names[:_MOST_NAMES])}{more}]")
+
+
 def _write_table(project: Project, target: Path | None, assets: Sequence[Asset]) -> Path:
     from processing_algorithms.measure.point_table import write_rows
 
     path = target or project.products / "assets.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_rows(path, [asset_row(asset) for asset in assets], COLUMNS)
+    rows = [asset_row(asset) for asset in assets]
+    if path.suffix.lower() != ".json":
+        rows = [{name: _no_formula(value) for name, value in row.items()} for row in rows]
+    write_rows(path, rows, COLUMNS)
     return path
+
+
+def _no_formula(value: Any) -> Any:
+    is_formula = isinstance(value, str) and value.startswith(_FORMULA)
+    return f"'{value}" if is_formula else value
 
 
 def asset_row(asset: Asset) -> dict[str, Any]:
@@ -229,6 +256,7 @@ def asset_row(asset: Asset) -> dict[str, Any]:
         "n_rays": q.n_rays,
         "method": q.method,
         "photos": ";".join(q.photo_ids),
+        "pixels": ";".join(f"{c.u:.2f},{c.v:.2f}" for c in q.clicks),
         "attributes": json.dumps(dict(asset.attributes), ensure_ascii=False),
         "note": asset.note,
         "revision": asset.revision,
@@ -245,11 +273,12 @@ def _round(value: float | None) -> float | None:
 def _pictures(
     project: Project, session: MeasureSession, assets: Sequence[Asset], feedback: Feedback
 ) -> Path:
-    from georef_gis.measure.assets.thumbnails import write_thumbnails
+    from georef_gis.measure.assets.thumbnails import remove_others, write_thumbnails
     from processing_algorithms.measure.asset_clicks import sights_of
 
     folder = project.products / "assets"
     _, notes = write_thumbnails(sights_of(session, assets), folder)
     for note in notes:
         feedback.warn(note)
+    remove_others(folder, [asset.id for asset in assets])
     return folder

@@ -42,6 +42,7 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
         self, context: Context, parameters: ScreenWorkZoneParameters, feedback: Feedback
     ) -> Result:
         """Screen."""
+        from georef_gis.errors import InputError
         from georef_gis.measure.workzone.rules import load_rules
         from georef_gis.measure.workzone.screening import screen
         from georef_gis.measure.workzone.told import (
@@ -63,7 +64,10 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
         found = zone_assets(project, zone, sigma_px=parameters.click)
         for doubt in found.places.doubts:
             feedback.warn(doubt)
-        findings = screen(zone_checks(zone, found), found.measured, rules)
+        try:
+            findings = screen(zone_checks(zone, found), found.measured, rules)
+        except InputError as error:
+            raise InputError(str(error), source=zone.source) from error
         text = screening_text(findings, rules, zone.speed_mph or 0.0, found.places.basis)
         for line in text.splitlines():
             feedback.info(line)

@@ -51,12 +51,15 @@ class Wzdx(Algorithm[WzdxParameters]):
 
     def run(self, context: Context, parameters: WzdxParameters, feedback: Feedback) -> Result:
         """Make the feed."""
-        from georef_gis.measure.workzone.wzdx import accuracy_file, build_feed
+        from georef_gis.measure.workzone.wzdx import accuracy_file, build_feed, wzdx_settings
         from processing_algorithms.measure.zone_input import zone_assets, zone_settings
 
         project = context.require_project()
         zone = zone_settings(project, parameters.zone)
         lines = _lines(zone)
+        if not lines:
+            # refused with all that is missing, before any device is looked for
+            wzdx_settings(zone.wzdx, zone.source)
         found = zone_assets(project, zone, more=lines, sigma_px=parameters.click)
         settings = _settings(zone, found, lines)
         for doubt in (*found.places.doubts, *_gaps(found, settings.lines)):

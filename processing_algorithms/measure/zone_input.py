@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import uuid
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -89,12 +90,16 @@ def zone_settings(project: Project, given: Path | None) -> ZoneSettings:
     path = given or project.folder / ZONE_FILE
     if path.is_file():
         return read_zone(path)
-    lines: dict[str, int] = {}
     with AssetStore.of_project(project) as store:
-        for asset in store.assets(store.domain.in_group(DEVICES)):
-            if name := _line(asset):
-                lines[name] = lines.get(name, 0) + 1
-    text = zone_template(event_id=str(uuid.uuid4()), lines=lines).encode()
+        assets, domain = store.assets(), store.domain
+    devices, signs = (
+        Counter(_line(a) for a in assets if a.kind in domain.in_group(group) and _line(a))
+        for group in (DEVICES, SIGNS)
+    )
+    edges = [asset.name for asset in assets if asset.shape == "line" and asset.name]
+    text = zone_template(
+        event_id=str(uuid.uuid4()), devices=devices, signs=signs, edges=edges
+    ).encode()
     with export_errors(path, lambda: len(text)), whole_file(resolve_target(path)) as stream:
         stream.write(text)
     raise InputError("there was none; it was written now with what there is to say: fill it in and "
@@ -250,8 +255,8 @@ def _signs(line: str, taper: str, found: ZoneAssets) -> SignCheck:
               if (xy[i] - xy[start]) @ (xy[devices[-1]] - xy[start]) > 0.0]  # fmt: skip
     if behind and taper in found.directed:
         raise InputError(
-            f"{', '.join(behind[:5])} of line {line} stand behind the beginning of {taper}; the "
-            "line is for advance warning: give other signs another line, or none"
+            f"line {line} has signs behind the beginning of {taper} ({', '.join(behind[:5])}); it "
+            "is for advance warning: give other signs another line, or none"
         )
     signs.sort(key=lambda i: float(np.linalg.norm(xy[i] - xy[start])))
     return SignCheck(name=line, signs=tuple(signs), start=start)

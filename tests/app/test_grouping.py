@@ -45,6 +45,7 @@ def test_figures_become_a_range() -> None:
 
 def test_other_things_than_photos_are_not_called_photos() -> None:
     lines = ["camera A: focal length assumed", "camera B: focal length assumed", "3 places unseen"]
+    lines += ["c.csv, line 2: cone is not measured", "c.csv, line 9: cone is not measured"]
     assert grouped(lines) == lines
 
 

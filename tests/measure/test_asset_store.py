@@ -14,7 +14,7 @@ from asset_cases import QUALITY, E, N, cone, edge, sql, store_at
 
 from georef_gis.errors import InputError
 from georef_gis.geodesy import CRS
-from georef_gis.measure.assets.asset import Draft, Quality, StaleAssetError
+from georef_gis.measure.assets.asset import Click, Draft, Quality, StaleAssetError
 from georef_gis.measure.assets.domain import CLASSES_FILE
 from georef_gis.measure.assets.file import ASSETS_FILE
 from georef_gis.measure.assets.store import AssetStore, Change
@@ -230,6 +230,48 @@ def test_moved_place_without_measurement_loses_its_accuracy(store: AssetStore) -
     assert moved.quality == Quality(method="edited")
     store.undo()
     assert store.get(asset.id).quality == QUALITY
+
+
+@pytest.mark.parametrize(
+    ("kind", "places", "words"),
+    [
+        ("work_area", [(0, 0), (9, 9), (9, 0), (0, 9)], "crosses or touches itself"),
+        ("work_area", [(0, 0), (4, 4), (9, 9)], "crosses or touches itself"),
+        ("lane_edge", [(5, 5), (5, 5)], "at one place"),
+        ("work_area", [(0, 0), (9, 0), (9, 9), (0, 9)], ""),
+        ("lane_edge", [(0, 0), (9, 9), (9, 0), (0, 9)], ""),
+    ],
+)
+def test_outline_without_an_area_is_kept_and_told(
+    store: AssetStore, kind: str, places: list[tuple[float, float]], words: str
+) -> None:
+    vertices = tuple((E + e, N + n, 270.0) for e, n in places)
+    asset = store.add(Draft(kind=kind, vertices=vertices))
+    assert [words in problem for problem in asset.problems] == [True] * bool(words)
+    assert asset.vertices == vertices
+
+
+def test_click_that_closes_an_outline_is_no_vertex(store: AssetStore) -> None:
+    places = ((E, N), (E + 9, N), (E + 9, N + 9), (E, N))
+    clicks = tuple(Click(photo_id="IMG_1", u=k % 3, v=0.0, vertex=k) for k in range(4))
+    quality = Quality(method="locate", clicks=clicks)
+    vertices = tuple((e, n, 270.0) for e, n in places)
+    asset = store.add(Draft(kind="work_area", vertices=vertices, quality=quality))
+    assert len(asset.vertices) == 3
+    assert asset.quality is not None
+    # else it would count as not clicked, and never be measured again
+    assert {click.vertex for click in asset.quality.clicks} == {0, 1, 2}
+
+
+def test_asset_of_a_class_that_was_removed_can_be_moved_and_named(tmp_path: Path) -> None:
+    asset = store_at(tmp_path).add(cone(attributes={"line": "T1"}))
+    (tmp_path / "asset_classes.toml").write_text("[classes.cone]\nremove = true\n")
+    store = store_at(tmp_path)
+    moved = store.change(asset.id, 1, Change(vertices=((E + 1, N, 270.0),), name="C1"))
+    assert (moved.kind, moved.name, moved.attributes) == ("cone", "C1", {"line": "T1"})
+    assert moved.problems == ("class 'cone' is not known",)
+    with pytest.raises(InputError, match="'cone' is no class of assets"):
+        store.change(asset.id, moved.revision, Change(attributes={"line": "T2"}))
 
 
 def test_class_may_change_within_its_geometry_only(store: AssetStore) -> None:

@@ -66,7 +66,9 @@ def test_sign_spacings_are_those_of_the_table(
 
 @pytest.mark.parametrize("speed", [40.5, 42, 44.9])
 def test_speed_between_the_two_formulas_is_refused(rules: Rules, speed: float) -> None:
-    with pytest.raises(InputError, match="0 to 40 or 45 to inf mph; give the speed it is posted"):
+    with pytest.raises(
+        InputError, match="0 to 40 mph, 45 mph and more; give the speed it is posted"
+    ):
         rules.taper_length("merging", speed)
 
 

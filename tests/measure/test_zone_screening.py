@@ -167,6 +167,28 @@ def test_answers_are_wrong_no_more_often_than_they_say() -> None:
     assert 0.035 < passed / 2000 < 0.065
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("gaps", "verdict"), [([2.0] * 7, "fail"), ([1.6] * 3 + [2.0], "pass")])
+def test_rows_are_answered_wrong_no_more_often_than_they_say(
+    gaps: list[float], verdict: str
+) -> None:
+    # spacings on the limit of 2 ft a mph, all of them met, or one of them just missed
+    rng = np.random.default_rng(2)
+    along = np.concatenate([[0.0], np.cumsum(gaps)]) * SPEED
+    n = len(along)
+    truth = measured(np.column_stack([along, np.zeros(n)]), own=0.3, shared=2.0)
+    L = np.linalg.cholesky(truth.covariance)
+    check = TangentCheck(name="G1", devices=tuple(range(n)))
+    zone = ZoneChecks(speed_mph=SPEED, tangents=(check,))
+    wrong = 0
+    for _ in range(300):
+        noisy = truth.xy + (L @ rng.standard_normal(2 * n)).reshape(n, 2)
+        found = Measured(names=truth.names, xy=noisy, covariance=truth.covariance)
+        wrong += one(screen(zone, found, RULES), "device spacing, all").verdict == verdict
+    # 5 % and 3 standard errors of 300 draws
+    assert wrong / 300 < 0.088
+
+
 # -- lanes ---------------------------------------------------------------------------------------
 
 

@@ -71,7 +71,10 @@ def test_travel_is_a_word_or_degrees(tmp_path: Path, text: str, degrees: float) 
 
 
 def test_template_is_toml_that_asks_for_everything(tmp_path: Path) -> None:
-    text = zone_template(event_id="an-id", lines={'T1"\n[zone]\nspeed_mph = 1': 13, "G1": 2})
+    evil = 'T1"\n[zone]\nspeed_mph = 1'
+    text = zone_template(
+        event_id="an-id", devices={evil: 13, "G1": 2}, signs={evil: 1, "S1": 3}, edges=[evil, "E1"]
+    )
     read = tomllib.loads(text)
     assert read["wzdx"]["id"] == "an-id"
     # no date, name or direction is there before somebody wrote it
@@ -79,6 +82,9 @@ def test_template_is_toml_that_asks_for_everything(tmp_path: Path) -> None:
                 "end_date", "vehicle_impact", "road_names", "devices"):  # fmt: skip
         assert not read["wzdx"][key], key
     assert "G1 (2)" in text
+    assert "There are signs:" in text
+    assert "S1 (3)." in text
+    assert "E1." in text
     zone = read_zone(write(tmp_path, text))
     assert zone.speed_mph is None
     with pytest.raises(InputError) as refused:

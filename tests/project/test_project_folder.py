@@ -298,3 +298,18 @@ def test_windows_locks_a_byte_behind_the_note(tmp_path: Path, monkeypatch) -> No
     assert calls == [(1 << 20, 2, 1)]
     taken = True
     assert refused_here(tmp_path)
+
+
+def test_file_that_may_not_be_read_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "clicks.csv"
+    path.touch()
+
+    def refuse(*_: object, **__: object) -> None:
+        # root may read anything
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(InputError, match=r"clicks\.csv: cannot be read: Permission denied; check"):
+        fingerprints([path], tmp_path)

@@ -163,6 +163,10 @@ def test_odd_rows_of_a_gis_are_told_and_listed(ready: Site) -> None:
         ("class,photo,u,v,order\ncone,a,1,2,first\n", "order: 'first' is no whole number"),
         ("class,photo,u,v,colour\ncone,a,1,2,red\n", "is no attribute"),
         ("class,photo,u,v\nsign,a,1,2\n", "mutcd_code: is missing"),
+        ("class,photo,u,v\nCONE,a,1,2\n", "did you mean 'cone'?"),
+        ("class,photo,u,v,line,line\ncone,a,1,2,T1,T2\n", "has two columns 'line'"),
+        ("asset,class,photo,u,v\nE1,lane_edge,a,1,2\n", "line 2: lane_edge 'E1' has 1 vertices"),
+        ("asset,class,photo,u,v\nA\x01,cone,a,1,2\n", "line 2: holds the control character"),
     ],
 )  # fmt: skip
 def test_table_that_cannot_be_read_is_refused_in_one_line(
@@ -174,6 +178,53 @@ def test_table_that_cannot_be_read_is_refused_in_one_line(
         read_clicks(path, load_domain())
     assert re.search(re.escape(words), str(refused.value)), refused.value
     assert "\n" not in str(refused.value)
+
+
+def test_columns_may_be_written_in_capitals_and_semicolons_part_them(tmp_path: Path) -> None:
+    path = tmp_path / "clicks.csv"
+    path.write_text("\ufeffAsset;Class;Photo;U;V;line\nC1;cone;a;1;2;T1\n", encoding="utf-8")
+    (found,) = read_clicks(path, load_domain())
+    assert (found.name, found.kind, found.attributes) == ("C1", "cone", {"line": "T1"})
+
+
+def test_asset_clicked_twice_in_one_photo_is_refused_by_name(ready: Site) -> None:
+    photo = photos(ready)[0]
+    path = put_clicks(ready, f"asset,class,photo,u,v\nC1,cone,{photo},600,400\n"
+                             f"C1,cone,{Path(photo).stem},700,500\n")  # fmt: skip
+    done = run(ready, "--clicks", path)
+    assert done.code == 2
+    assert f"line 2: photo {Path(photo).stem} shows cone 'C1' twice" in done.text
+
+
+def test_names_that_a_spreadsheet_would_run_are_text_in_the_table(ready: Site) -> None:
+    names = ["=cmd|' /C calc'!A0", "+1", "@SUM(A1)", "-2", "plain", "<b>&\"'", "x" * 300, "🚧"]
+    path = ready.folder / "clicks.csv"
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["asset", "class", "photo", "u", "v"])
+        writer.writerows([n, "cone", photos(ready)[0], 400 + 20 * k, 400]
+                         for k, n in enumerate(names))  # fmt: skip
+    done = run(ready, "--clicks", path)
+    assert done.code == 0, done.text
+    assert [row["name"] for row in table(ready)] == [f"'{n}" for n in names[:4]] + names[4:]
+    assert run(ready, "--target", ready.folder / "assets.json").code == 0
+    told = json.loads((ready.folder / "assets.json").read_text(encoding="utf-8"))
+    assert [row["name"] for row in told] == names
+    with AssetStore.of_project(Project.open(ready.folder)) as store:
+        assert [asset.name for asset in store.assets()] == names
+
+
+def test_problem_of_many_assets_is_told_once_and_calls_them_assets(ready: Site) -> None:
+    (ready.folder / "asset_classes.toml").write_text("[classes.cone]\nremove = true\n")
+    path = put_clicks(ready, clicks_csv(TRUTH, photos=photos(ready)))
+    assert run(ready, "--clicks", path).code == 2
+    (ready.folder / "asset_classes.toml").unlink()
+    assert run(ready, "--clicks", path).code == 0
+    (ready.folder / "asset_classes.toml").write_text("[classes.cone]\nremove = true\n")
+    done = run(ready)
+    assert done.text.count("class 'cone' is not known") == 1
+    assert "photos" not in done.text
+    assert re.search(r"\[cone C01, .* and \d+ more\]", done.text)
 
 
 def test_unknown_photo_is_refused_with_its_line(ready: Site) -> None:

@@ -200,6 +200,24 @@ def test_feed_asks_for_all_that_is_missing_and_suggests_the_side(clicked: Site) 
     assert not (clicked.products / "work_zone.geojson").exists()
 
 
+def test_feed_of_an_untouched_file_asks_for_all_that_is_missing_at_once(clicked: Site) -> None:
+    # once to write the file, once to read it as it was written
+    georef("wzdx", "--project", clicked.folder)
+    done = georef("wzdx", "--project", clicked.folder)
+    told = done.line("fill in what is missing")
+    for key in ("publisher", "road_names", "direction", "start_date", "devices"):
+        assert f"wzdx.{key}" in told
+
+
+def test_speed_without_a_formula_is_refused_with_the_file(clicked: Site) -> None:
+    zone(clicked, speed=42, kind="merging")
+    done = georef("screen-work-zone", "--project", clicked.folder)
+    assert done.code == 2
+    told = done.line("42 mph")
+    assert "work_zone.toml" in told
+    assert "0 to 40 mph, 45 mph and more" in told
+
+
 def test_way_of_the_traffic_is_asked_for_where_nothing_tells_it(clicked: Site) -> None:
     zone(clicked, more=WZDX)
     path = clicked.folder / "work_zone.toml"
@@ -240,7 +258,7 @@ def test_signs_are_taken_from_the_taper_outwards_and_others_refused(clicked: Sit
                         attributes={"line": "S1", "mutcd_code": "G20-2"}))  # fmt: skip
     done = georef("screen-work-zone", "--project", clicked.folder)
     assert done.code != 0
-    assert "end of line S1 stand behind the beginning of T1" in done.text
+    assert "line S1 has signs behind the beginning of T1 (end)" in done.text
 
 
 def test_file_to_fill_in_is_written_once_and_names_the_lines(clicked: Site) -> None:

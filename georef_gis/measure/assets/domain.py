@@ -358,7 +358,7 @@ def _short(value: Any) -> str:
 
 
 def _nearest(word: str, words: list[str], what: str) -> str:
-    close = get_close_matches(str(word)[:80], words, n=1, cutoff=0.5)
+    close = get_close_matches(str(word)[:80].lower(), words, n=1, cutoff=0.5)
     few = ", ".join(words[:12]) + (" ..." if len(words) > 12 else "")
     cure = f"did you mean '{close[0]}'?" if close else f"use one of {few or 'none'}"
     return f"{_short(word)} is no {what}; {cure}"

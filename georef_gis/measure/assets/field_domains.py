@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 
 from georef_gis.measure.assets.domain import SHAPES, Domain
+from georef_gis.measure.assets.layout import at_once
 from georef_gis.measure.assets.tables import LAYERS
 
 # OGC 12-128r17, annex F.9
@@ -32,13 +33,8 @@ def enter_classes(connection: sqlite3.Connection, domain: Domain) -> None:
     }
     if _stated(connection) == wanted:
         return
-    connection.execute("BEGIN IMMEDIATE")
-    try:
+    with at_once(connection):
         _enter(connection, wanted)
-        connection.execute("COMMIT")
-    except BaseException:
-        connection.execute("ROLLBACK")
-        raise
 
 
 def _stated(connection: sqlite3.Connection) -> set[tuple[str, str, str]]:

@@ -16,12 +16,22 @@ from typing import Any
 from georef_gis.errors import InputError
 from georef_gis.measure.assets.domain import Domain
 from georef_gis.measure.assets.field_domains import enter_classes
-from georef_gis.measure.assets.tables import LAYERS, TABLES, Row, blob_of, wkb_in
-from georef_gis.project import geopackage
+from georef_gis.measure.assets.layout import (
+    at_once,
+    checked_srs,
+    is_whole,
+    lay_out,
+    make_whole,
+)
+from georef_gis.measure.assets.tables import Row, blob_of, wkb_in
+from georef_gis.project.asset_layers import ASSETS_FILE
 from georef_gis.project.database import CURES, Srs
 from georef_gis.project.geometry import Bounds
+from georef_gis.project.geopackage import table_names
+from georef_gis.project.spatial_index import add_functions
 
-ASSETS_FILE = "assets.gpkg"
+__all__ = ["ASSETS_FILE", "WAIT", "AssetFile"]
+
 # s; a GIS that is saving holds the file no longer
 WAIT = 5.0
 
@@ -74,18 +84,12 @@ class AssetFile:
             if self._depth:
                 yield
                 return
-            connection = self._open()
-            connection.execute("BEGIN IMMEDIATE")
-            self._depth = 1
-            try:
-                yield
-                connection.execute("COMMIT")
-            except BaseException:
-                with contextlib.suppress(sqlite3.Error):
-                    connection.execute("ROLLBACK")
-                raise
-            finally:
-                self._depth = 0
+            with at_once(self._open()):
+                self._depth = 1
+                try:
+                    yield
+                finally:
+                    self._depth = 0
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
@@ -106,6 +110,12 @@ class AssetFile:
         """Run a statement inside `transaction` or `reading`."""
         assert self._connection is not None, "outside of a transaction"
         return self._connection.execute(sql, values)
+
+    def make_whole(self) -> None:
+        """Put layers and columns back that another program took away; inside `transaction`."""
+        assert self._connection is not None, "outside of a transaction"
+        if not is_whole(self._connection):
+            make_whole(self._connection, self._srs)
 
     def version(self) -> tuple[int, int]:
         """What is another when another connection wrote to the file; own writes leave it."""
@@ -129,7 +139,7 @@ class AssetFile:
     def write(self, layer: str, fid: int | None, row: Row) -> int:
         """Insert a row (under `fid` if that is free), or change that of `fid`; gives its fid."""
         blob, box = blob_of(row.get("geom"), self.srs_id)
-        # A column that was removed in the GIS stays removed.
+        # A column that was removed meanwhile is made again at the next look.
         known = {c[1] for c in self.execute(f"PRAGMA table_info({layer})")}
         values = {key: value for key, value in row.items() if key in known} | {"geom": blob}
         names = [f'"{name.replace(chr(34), chr(34) * 2)}"' for name in values]
@@ -175,11 +185,16 @@ class AssetFile:
             self.path, timeout=self.wait, isolation_level=None, check_same_thread=False
         )
         try:
-            if not geopackage.table_names(connection):
-                self._create(connection)
+            add_functions(connection)
+            if not table_names(connection):
+                lay_out(connection, self._srs)
             _leave_wal(connection, self.wait)
-            self._check(connection)
-            # Only an offer to GIS users: not worth waiting, nor a reason to refuse reading.
+            # A file that is held or may not be written can be read all the same.
+            with contextlib.suppress(sqlite3.OperationalError):
+                if not is_whole(connection):
+                    with at_once(connection):
+                        make_whole(connection, self._srs)
+            self.srs_id = checked_srs(connection, self._srs, str(self.path))
             with contextlib.suppress(sqlite3.OperationalError):
                 enter_classes(connection, self._domain)
         except BaseException:
@@ -188,49 +203,6 @@ class AssetFile:
         self._connection, self._inode = connection, _inode(self.path)
         self._opened += 1
         return connection
-
-    def _create(self, connection: sqlite3.Connection) -> None:
-        """Lay out an empty file, in one transaction: another process may be about to do it too."""
-        connection.execute("BEGIN IMMEDIATE")
-        if not geopackage.table_names(connection):
-            geopackage.create(connection, TABLES)
-            srs = self._srs
-            srs_id = geopackage.add_srs(connection, srs.name, srs.wkt, srs.code, srs.description)
-            geopackage.set_layer_srs(connection, srs_id)
-        connection.execute("COMMIT")
-
-    def _check(self, connection: sqlite3.Connection) -> None:
-        """Refuse a file that lacks a layer, or is in another CRS than the project."""
-        from georef_gis.geodesy.reference_systems import same_crs
-
-        names = geopackage.table_names(connection)
-        if "gpkg_geometry_columns" not in names:
-            raise InputError("is no GeoPackage; move it away, then a new one is made",
-                             source=str(self.path))  # fmt: skip
-        missing = sorted(table.name for table in TABLES if table.name not in names)
-        if missing:
-            raise InputError(
-                f"has no table {missing[0]}; move the file away, then a new one is made",
-                source=str(self.path),
-            )
-        found = connection.execute(
-            "SELECT g.srs_id, s.definition, s.definition_12_063, s.srs_name "
-            "FROM gpkg_geometry_columns g JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id "
-            "WHERE g.table_name = ?",
-            (LAYERS["point"].name,),
-        ).fetchone()
-        if found is None:
-            raise InputError("its layers have no CRS; state it in the GIS", source=str(self.path))
-        self.srs_id = int(found[0])
-        if self.srs_id == self._srs.code:
-            return
-        wkt = found[2] if found[1] in (None, "", "undefined") else found[1]
-        if not same_crs(str(wkt), self._srs.wkt):
-            raise InputError(
-                f"is in '{found[3]}', the project in '{self._srs.name}'; give the project that CRS "
-                "again, or move the file away",
-                source=str(self.path),
-            )
 
     @contextlib.contextmanager
     def _refusals(self) -> Iterator[None]:

@@ -25,8 +25,8 @@ from georef_gis.measure.assets.tables import (
     content_of,
     ellipse_wkb,
     row_in,
-    same_place,
 )
+from georef_gis.project.asset_layers import same_place
 
 DONE, UNDONE, DROPPED = "done", "undone", "dropped"
 OUTSIDE = "edited in another program"

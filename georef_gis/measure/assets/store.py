@@ -208,16 +208,17 @@ class AssetStore:
             If it does not fit its class, or the file cannot be written.
         """
         found = self.domain.find(draft.kind)
+        vertices = checked_vertices(found.geometry, draft.vertices, source=found.name)
         at = self._time()
         asset = Asset(
             id=str(uuid.uuid4()),
             kind=found.name,
             shape=found.geometry,
-            vertices=checked_vertices(found.geometry, draft.vertices, source=found.name),
+            vertices=vertices,
             name=_text(draft.name, "name"),
             note=_text(draft.note, "note"),
             attributes=found.read(draft.attributes),
-            quality=draft.quality,
+            quality=_of_vertices(draft.quality, len(vertices)),
             created=at,
             changed=at,
         )
@@ -288,6 +289,7 @@ class AssetStore:
         version = self._file.version()
         if version == self._version:
             return False
+        self._file.make_whole()
         self._ledger.adopt(self._time())
         self._version = version
         return True
@@ -308,26 +310,33 @@ class AssetStore:
         return current
 
     def _changed(self, old: Asset, change: Change) -> Asset:
+        kind, attributes = self._described(old, change)
+        vertices, quality = old.vertices, change.quality or old.quality
+        if change.vertices is not None:
+            vertices = checked_vertices(old.shape, change.vertices, source=kind)
+            if change.quality is None and not _same(vertices, old.vertices):
+                quality = EDITED
+        return replace(
+            old,
+            kind=kind,
+            vertices=vertices,
+            name=old.name if change.name is None else _text(change.name, "name"),
+            note=old.note if change.note is None else _text(change.note, "note"),
+            attributes=attributes,
+            quality=_of_vertices(quality, len(vertices)),
+            changed=self._time(),
+        )
+
+    def _described(self, old: Asset, change: Change) -> tuple[str, Mapping[str, object]]:
+        """Class and attributes; what is not changed need not fit a class that was changed since."""
+        if change.kind is None and change.attributes is None:
+            return old.kind, old.attributes
         found = self.domain.find(old.kind if change.kind is None else change.kind)
         if found.geometry != old.shape:
             raise InputError(f"is a {found.geometry}, the asset a {old.shape}; add a new one",
                              source=found.name, field="class")  # fmt: skip
-        vertices, quality = old.vertices, change.quality or old.quality
-        if change.vertices is not None:
-            vertices = checked_vertices(old.shape, change.vertices, source=found.name)
-            if change.quality is None and not _same(vertices, old.vertices):
-                quality = EDITED
         attributes = old.attributes if change.attributes is None else change.attributes
-        return replace(
-            old,
-            kind=found.name,
-            vertices=vertices,
-            name=old.name if change.name is None else _text(change.name, "name"),
-            note=old.note if change.note is None else _text(change.note, "note"),
-            attributes=found.read(attributes),
-            quality=quality,
-            changed=self._time(),
-        )
+        return found.name, found.read(attributes)
 
     def _put(self, title: str, asset: Asset) -> Asset:
         if not asset.vertices:
@@ -345,6 +354,13 @@ class AssetStore:
 
 def _same(first: tuple[Vertex, ...], second: tuple[Vertex, ...]) -> bool:
     return repr(first) == repr(second)
+
+
+def _of_vertices(quality: Quality | None, count: int) -> Quality | None:
+    """Accuracy without the click that closed a ring, whose vertex is the first one."""
+    if quality is None or all(click.vertex < count for click in quality.clicks):
+        return quality
+    return replace(quality, clicks=tuple(c for c in quality.clicks if c.vertex < count))
 
 
 def _text(value: object, name: str) -> str:

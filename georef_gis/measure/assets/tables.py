@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+from georef_gis.errors import InputError
 from georef_gis.measure.assets.asset import Asset, Click, Quality, Vertex
 from georef_gis.measure.assets.domain import Domain, Shape
-from georef_gis.project.geometry import Bounds, from_blob, geometry_type, to_blob
+from georef_gis.project.geometry import Bounds, from_blob, to_blob
 from georef_gis.project.schema import Table
 
 # Column -> field of Quality
@@ -103,6 +104,7 @@ def asset_of(row: Mapping[str, Any], shape: Shape, revision: int, domain: Domain
         problems.append(f"class {kind!r} is a {found.geometry}, but it was drawn as a {shape}")
     else:
         problems += _unfit(found, attributes)
+    problems += unsound(shape, vertices)
     return Asset(
         id=_text(row.get("asset_id")),
         kind=kind,
@@ -120,8 +122,6 @@ def asset_of(row: Mapping[str, Any], shape: Shape, revision: int, domain: Domain
 
 
 def _unfit(found: Any, attributes: Mapping[str, Any]) -> list[str]:
-    from georef_gis.errors import InputError
-
     try:
         found.read(attributes)
     except InputError as error:
@@ -163,14 +163,17 @@ def _clicks(text: Any, problems: list[str]) -> tuple[Click, ...]:
     if text in (None, ""):
         return ()
     try:
-        return tuple(
+        clicks = tuple(
             Click(photo_id=str(photo), u=float(u), v=float(v), vertex=int(vertex),
                   sigma_px=None if sigma is None else float(sigma))
             for photo, u, v, vertex, sigma in json.loads(text)
         )  # fmt: skip
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
+        clicks = None
+    if clicks is None or not all(math.isfinite(c.u) and math.isfinite(c.v) for c in clicks):
         problems.append("its pixels cannot be read")
         return ()
+    return clicks
 
 
 def _text(value: Any) -> str:
@@ -220,6 +223,19 @@ def _vertices(wkb: bytes | None, shape: Shape, problems: list[str]) -> tuple[Ver
     return tuple((float(x), float(y), float(z)) for x, y, z in xyz)
 
 
+def unsound(shape: Shape, vertices: tuple[Vertex, ...]) -> list[str]:
+    """What keeps a line from having a length, or an outline from having an area."""
+    import shapely
+
+    if shape == "point" or not vertices:
+        return []
+    if len({vertex[:2] for vertex in vertices}) == 1:
+        return ["all its vertices lie at one place"]
+    if shape == "line" or shapely.Polygon([vertex[:2] for vertex in vertices]).is_valid:
+        return []
+    return ["its outline crosses or touches itself; click its corners one after the other, around"]
+
+
 def blob_of(wkb: bytes | None, srs_id: int) -> tuple[bytes | None, Bounds | None]:
     """GeoPackage blob of a WKB, and its bounds."""
     return (None, None) if wkb is None else to_blob(wkb, srs_id)
@@ -230,23 +246,6 @@ def wkb_in(blob: Any) -> bytes | None:
     if not isinstance(blob, bytes) or len(blob) < 8 or blob[:2] != b"GP":
         return None
     return from_blob(blob)
-
-
-def same_place(first: bytes | None, second: bytes | None) -> bool:
-    """Whether two geometries are one up to rounding; another program may write one anew."""
-    import numpy as np
-    import shapely
-
-    if first == second or first is None or second is None:
-        return first == second
-    if geometry_type(first)[0] != geometry_type(second)[0]:
-        return False
-    try:
-        a, b = (shapely.get_coordinates(shapely.from_wkb(wkb)) for wkb in (first, second))
-    except shapely.errors.GEOSException:
-        return False
-    # CRS units: far below a click, far above the rounding of a double
-    return a.shape == b.shape and bool(np.allclose(a, b, rtol=0.0, atol=1e-6))
 
 
 def ellipse_wkb(asset: Asset, unit: float) -> bytes | None:
@@ -279,9 +278,20 @@ def content_of(row: Row) -> str:
 
 
 def row_in(content: str) -> Row:
-    """Row of a content."""
-    read: Row = json.loads(content)
-    return {key: _decoded(value) for key, value in read.items()}
+    """Row of a content.
+
+    Raises
+    ------
+    InputError
+        If another program wrote into the store's own tables.
+    """
+    try:
+        read: Row = json.loads(content)
+        return {key: _decoded(value) for key, value in read.items()}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"what {KNOWN.name} and {HISTORY.name} hold cannot be read, another "
+                         "program changed it; put a copy of the file in its place",
+                         source="assets.gpkg") from error  # fmt: skip
 
 
 def _coded(value: Any) -> Any:

@@ -23,6 +23,8 @@ SIZE, LEAST = 320, 64
 SPAN, MARGIN = 5.0, 1.3
 _INK, _PAPER = (255, 235, 0), (20, 20, 20)
 _QUALITY = 88
+# Ids that the store gives, and names made of others
+_OURS = re.compile(r"[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}|[0-9a-f]{32}")
 _SAFE = re.compile(r"[0-9A-Za-z-]{1,64}")
 
 
@@ -36,12 +38,15 @@ class Sight:
         Its vertices.
     gsd
         m per px at the asset; NaN = not known, then there is no scale.
+    closed
+        Whether the last vertex is joined to the first.
     """
 
     photo_id: str
     path: Path
     uv: Array
     gsd: float = math.nan
+    closed: bool = False
 
 
 def best_sight(sights: Sequence[Sight]) -> Sight:
@@ -90,7 +95,7 @@ def write_thumbnails(
             notes.append(f"no picture of {len(asset_ids)} assets: {error}")
             continue
         for asset_id in asset_ids:
-            picture = thumbnail(image, sights[asset_id].uv, gsd=sights[asset_id].gsd)
+            picture = thumbnail(image, sights[asset_id])
             _, raw = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
             target = folder / thumbnail_name(asset_id)
             with export_errors(target, lambda: 0), whole_file(target) as stream:
@@ -106,18 +111,28 @@ def thumbnail_name(asset_id: str) -> str:
     return hashlib.sha256(asset_id.encode("utf-8", "replace")).hexdigest()[:32] + ".jpg"
 
 
-def thumbnail(image: NDArray[Any], uv: Array, *, gsd: float = math.nan, size: int = SIZE) -> Image:
+def remove_others(folder: Path, asset_ids: Iterable[str]) -> None:
+    """Remove the pictures of assets that are no more; files of other names are left alone."""
+    from georef_gis.rasters.files import export_errors
+
+    kept = {thumbnail_name(asset_id) for asset_id in asset_ids}
+    for path in folder.glob("*.jpg"):
+        if _OURS.fullmatch(path.stem) and path.name not in kept:
+            with export_errors(path, lambda: 0):
+                path.unlink(missing_ok=True)
+
+
+def thumbnail(image: NDArray[Any], sight: Sight, *, size: int = SIZE) -> Image:
     """Picture of an asset, square; what lies beyond the photo is dark.
+
+    One vertex gets a cross, more are joined.
 
     Parameters
     ----------
     image : shape (rows, cols, bands)
         Photo as stored.
-    uv : shape (n, 2), px
-        One vertex gets a cross, more are joined.
-    gsd
-        m per px of the photo.
     """
+    uv, gsd = sight.uv, sight.gsd
     centre = (uv.min(axis=0) + uv.max(axis=0)) / 2.0
     extent = MARGIN * float(np.ptp(uv, axis=0).max())
     around = SPAN / gsd if math.isfinite(gsd) and gsd > 0 else 4.0 * LEAST
@@ -128,7 +143,7 @@ def thumbnail(image: NDArray[Any], uv: Array, *, gsd: float = math.nan, size: in
     if len(marks) == 1:
         _cross(picture, marks[0])
     else:
-        _strokes(picture, [marks])
+        _strokes(picture, [np.vstack([marks, marks[:1]]) if sight.closed else marks])
     if math.isfinite(gsd) and gsd > 0:
         _scale_bar(picture, gsd / scale)
     return picture

@@ -88,8 +88,8 @@ class Rules:
             return Requirement(low=taper.low, high=taper.high, source=taper.source)
         formula = next((f for f in self.formulas if f.from_mph <= speed_mph <= f.to_mph), None)
         if formula is None:
-            spans = " or ".join(f"{f.from_mph:g} to {f.to_mph:g}" for f in self.formulas)
-            raise InputError(f"{speed_mph:g} mph: the manual has a taper length for {spans} mph; "
+            spans = ", ".join(_span(f) for f in self.formulas)
+            raise InputError(f"{speed_mph:g} mph: the manual has taper lengths for {spans}; "
                              "give the speed it is posted with", field="speed_mph")  # fmt: skip
         per_offset = taper.share * speed_mph**formula.power / formula.divisor
         return Requirement(low=0.0, per_offset=per_offset,
@@ -125,6 +125,12 @@ class Rules:
             raise InputError(f"{kind!r} is no kind of taper; use one of {', '.join(self.tapers)}",
                              field="kind")  # fmt: skip
         return self.tapers[kind]
+
+
+def _span(formula: _LengthFormula) -> str:
+    if math.isinf(formula.to_mph):
+        return f"{formula.from_mph:g} mph and more"
+    return f"{formula.from_mph:g} to {formula.to_mph:g} mph"
 
 
 def editions() -> list[str]:

@@ -6,7 +6,7 @@ Nothing is made up: what is empty counts as missing, and all that is missing is 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ _TAPER = {"line": str, "kind": str, "offset_ft": float, "edge": str}
 _TANGENT = {"line": str}
 _LANE = {"name": str, "line": str, "edge": str, "min_ft": float, "reduced_width": bool}
 _SIGNS = {"line": str, "taper": str}
+# Edges that the template lists
+_MOST_EDGES = 20
 # Degrees clockwise from north
 _COMPASS = {word: 45.0 * k for k, word in enumerate(("N", "NE", "E", "SE", "S", "SW", "W", "NW"))}
 
@@ -298,24 +300,36 @@ is_end_position_verified = false
 """
 
 
-def zone_template(*, event_id: str, lines: Mapping[str, int] | None = None) -> str:
+def zone_template(
+    *,
+    event_id: str,
+    devices: Mapping[str, int] | None = None,
+    signs: Mapping[str, int] | None = None,
+    edges: Sequence[str] = (),
+) -> str:
     """Text of a ``work_zone.toml`` to fill in.
 
     Parameters
     ----------
     event_id
         Id that the work zone gets in feeds.
-    lines
-        Lines of devices that there are, with their counts.
+    devices, signs
+        Lines that there are, with the count of their assets.
+    edges
+        Names of line assets.
     """
     from georef_gis.measure.workzone.rules import editions, load_rules
     from georef_gis.measure.workzone.wzdx_rules import versions, wzdx_rules
 
     rules, version = load_rules(), versions()[-1]
     words = wzdx_rules(version).words
-    found = ", ".join(f"{_comment(name)} ({n})" for name, n in (lines or {}).items())
+    there = {
+        "devices": ", ".join(f"{_comment(name)} ({n})" for name, n in (devices or {}).items()),
+        "signs": ", ".join(f"{_comment(name)} ({n})" for name, n in (signs or {}).items()),
+        "edges": ", ".join(map(_comment, edges[:_MOST_EDGES])),
+    }
     return _TEMPLATE.format(
-        found=f"\n# There are: {found}." if found else "",
+        found="".join(f"\n# There are {what}: {names}." for what, names in there.items() if names),
         roads=", ".join(rules.signs),
         editions=", ".join(editions()),
         edition=DEFAULT_EDITION,
