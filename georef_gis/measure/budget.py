@@ -77,7 +77,7 @@ class PointBudget:
     @property
     def covariance(self) -> Array:
         """By all sources together, (3, 3)."""
-        return np.asarray(sum(self.by_source.values()))
+        return np.asarray(np.sum([np.zeros((3, 3)), *self.by_source.values()], axis=0))
 
     def variance(self, source: str | None = None) -> Array:
         """East, north, up, m^2, of one source or of all; shape (3,)."""

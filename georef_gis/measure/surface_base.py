@@ -30,6 +30,8 @@ STRETCHES = 16
 _DRAWS = 200
 # places about an area where the plane through the rim is tried, in diameters from its middle
 _RINGS, _WAYS = (1.15, 1.7), 8
+# share of such a place and of its rim that must have a height
+_KNOWN = 0.85
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,6 +77,10 @@ class Base(Protocol):
         """Its up coordinate, m; (n, 2) -> (n,)."""
         ...
 
+    def local(self, xy: Array) -> Array:
+        """One sigma of its heights against their surroundings by its own errors; (n,), m."""
+        ...
+
     def support(self, cells: Cells, weights: Array) -> Support:
         """What minus the weighted sum of its heights over cells, (n,) m^2, rests on."""
         ...
@@ -107,7 +113,10 @@ class RimPlane:
         z = field.z_at(xy)
         known = np.isfinite(z)
         if known.sum() < 0.5 * len(known):
-            raise GeometryError(f"{field.name}: most of the rim of the area has no height")
+            raise GeometryError(
+                f"{field.name}: most of the rim of the area has no height; draw the area where "
+                "the surface is known"
+            )
         xy, z = xy[known], z[known]
         middle = xy.mean(axis=0)
         X = np.column_stack([np.ones(len(xy)), xy - middle])
@@ -151,6 +160,10 @@ class RimPlane:
         """Its up coordinate, m; (n, 2) -> (n,)."""
         return np.asarray(self.terms[0] + (xy - self.middle) @ self.terms[1:])
 
+    def local(self, xy: Array) -> Array:
+        """It is smooth; (n, 2) -> (n,)."""
+        return np.zeros(len(xy))
+
     def support(self, cells: Cells, weights: Array) -> Support:
         """Heights of the rim."""
         X = np.column_stack([np.ones(len(cells.xy)), cells.xy - self.middle])
@@ -160,11 +173,13 @@ class RimPlane:
 def _missed(field: HeightField, area: Any) -> float:
     """Volume between bare ground and the plane through its rim, m^3; NaN where it is not known."""
     cells = cells_of(area, detail=math.sqrt(area.area) / 10.0)
-    z = field.z_at(cells.xy)
-    ring = field.z_at(ring_of(area, step=math.sqrt(area.area) / 20.0))
-    if not (np.all(np.isfinite(z)) and np.all(np.isfinite(ring))):
+    off = field.z_at(cells.xy)
+    ring = np.isfinite(field.z_at(ring_of(area, step=math.sqrt(area.area) / 20.0)))
+    known = np.isfinite(off)
+    if min(float(known.mean()), float(ring.mean())) < _KNOWN:
         return math.nan
-    return float((z - RimPlane.of(field, area).z_at(cells.xy)) @ cells.area)
+    off = (off - RimPlane.of(field, area).z_at(cells.xy))[known]
+    return float(off @ cells.area[known] / cells.area[known].sum() * cells.area.sum())
 
 
 def _scale(off: Array) -> float:
@@ -214,7 +229,10 @@ class LowestLevel:
         stretches = _stretches(len(z))
         means = z[stretches].mean(axis=1)
         if not np.any(np.isfinite(means)):
-            raise GeometryError(f"{field.name}: the rim of the area has no height")
+            raise GeometryError(
+                f"{field.name}: the rim of the area has no height; draw the area where the "
+                "surface is known"
+            )
         lowest = stretches[int(np.nanargmin(means))]
         return cls(xy=xy[lowest], z=float(z[lowest].mean()))
 
@@ -251,6 +269,10 @@ class LowestLevel:
     def z_at(self, xy: Array) -> Array:
         """Its up coordinate, m; (n, 2) -> (n,)."""
         return np.full(len(xy), self.z)
+
+    def local(self, xy: Array) -> Array:
+        """It is smooth; (n, 2) -> (n,)."""
+        return np.zeros(len(xy))
 
     def support(self, cells: Cells, weights: Array) -> Support:
         """Heights of that stretch."""
@@ -289,6 +311,10 @@ class GivenHeight:
         """Its up coordinate, m; (n, 2) -> (n,)."""
         return z_of_constant_height(self.origin, self.height_ellipsoidal, xy)
 
+    def local(self, xy: Array) -> Array:
+        """It is smooth; (n, 2) -> (n,)."""
+        return np.zeros(len(xy))
+
     def support(self, cells: Cells, weights: Array) -> Support:
         """Nothing of the surface."""
         variance = (self.sigma * float(weights.sum())) ** 2
@@ -319,6 +345,10 @@ class OtherSurface:
         """Its up coordinate, m; (n, 2) -> (n,), NaN outside."""
         return self.field.z_at(xy)
 
+    def local(self, xy: Array) -> Array:
+        """One sigma of its heights against their surroundings; (n, 2) -> (n,), m."""
+        return self.field.local(xy)
+
     def support(self, cells: Cells, weights: Array) -> Support:
         """Its own errors."""
         weighted = weights * self.field.local(cells.xy)
@@ -326,6 +356,6 @@ class OtherSurface:
             correlated_variance(cells.xy, weighted, length, cells.side)
             for length in self.field.alike(cells.extent)
         )
-        common = (self.field.common * float(weights.sum())) ** 2
+        common = self.field.common.sigma_of_sum(cells.xy, weights)
         none = np.zeros((0, 2))
-        return Support(xy=none, weights=np.zeros(0), variance=local + common)
+        return Support(xy=none, weights=np.zeros(0), variance=local + common**2)

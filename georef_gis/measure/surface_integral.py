@@ -12,10 +12,14 @@ import shapely
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 
-# cells along the longer side of an area, at least and at most
-LEAST_CELLS, MOST_CELLS = 60, 400
-# places along each side of a cell at which it is asked whether it lies in the area
+# cells of an area, at least and at most
+LEAST_CELLS, MOST_CELLS = 3_000, 1_000_000
+# lines across a cell along which it is measured how much of it lies in the area
 _FINE = 4
+# of an area's longer side: no cell is smaller
+_FINEST = 1e-4
+# m; the mean width of an area that is none
+_THIN = 1e-3
 # lengths beyond which errors have nothing to do with each other
 _REACH = 3.5
 
@@ -30,31 +34,56 @@ class Cells:
     extent: float
 
 
-def cells_of(area: Any, *, detail: float) -> Cells:
+def cells_of(area: Any, *, detail: float, most: int = MOST_CELLS) -> Cells:
     """Cells of a polygon, m in enu, fine enough for a surface that is smooth over `detail`, m.
 
-    Their areas add to that of the polygon.
+    Their areas add to that of the polygon. There are no more than about `most`.
+
+    Raises
+    ------
+    GeometryError
+        If the polygon is a line, as good as.
     """
     x0, y0, x1, y1 = shapely.bounds(area)
     longer = max(x1 - x0, y1 - y0)
-    side = float(np.clip(detail / 2.0, longer / MOST_CELLS, longer / LEAST_CELLS))
-    cols, rows = math.ceil((x1 - x0) / side), math.ceil((y1 - y0) / side)
-    x, y = x0 + (np.arange(cols) + 0.5) * side, y0 + (np.arange(rows) + 0.5) * side
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    off = ((np.arange(_FINE) + 0.5) / _FINE - 0.5) * side
-    shapely.prepare(area)
-    inside = np.zeros(len(xy))
-    for dx in off:
-        for dy in off:
-            inside += shapely.contains_xy(area, xy[:, 0] + dx, xy[:, 1] + dy)
-    kept = inside > 0
-    if not np.any(kept):
+    if area.area < _THIN * longer:
         raise GeometryError(f"the area of {area.area:.3g} m2 is too thin to be measured")
-    share = inside[kept]
+    side = min(detail / 2.0, math.sqrt(area.area / LEAST_CELLS))
+    side = max(side, math.sqrt(area.area / most), _FINEST * longer)
+    edges = x0 + side * np.arange(math.ceil((x1 - x0) / side) + 1)
+    xy, shares = [], []
+    sides = _sides_of(area)
+    for row in range(math.ceil((y1 - y0) / side)):
+        low = y0 + row * side
+        inside = np.zeros(len(edges) - 1)
+        for k in range(_FINE):
+            for a, b in _crossings(sides, low + (k + 0.5) / _FINE * side):
+                inside += np.diff(np.clip(edges, a, b))
+        at = np.flatnonzero(inside > 0.0)
+        xy.append(np.column_stack([edges[at] + side / 2.0, np.full(len(at), low + side / 2.0)]))
+        shares.append(inside[at])
+    share = np.concatenate(shares)
     return Cells(
-        xy=xy[kept], area=share * (area.area / share.sum()), side=side,
+        xy=np.concatenate(xy), area=share * (area.area / share.sum()), side=side,
         extent=math.hypot(x1 - x0, y1 - y0),
     )  # fmt: skip
+
+
+def _sides_of(area: Any) -> Array:
+    """Sides of all rims of a polygon that rise or fall, the lower end first: x, y, x, y; (n, 4)."""
+    out = []
+    for ring in shapely.get_rings(area):
+        xy = shapely.get_coordinates(ring)
+        out.append(np.hstack([xy[:-1], xy[1:]]))
+    sides = np.vstack(out)
+    sides = np.where(sides[:, 1:2] <= sides[:, 3:], sides, sides[:, [2, 3, 0, 1]])
+    return np.asarray(sides[sides[:, 1] < sides[:, 3]])
+
+
+def _crossings(sides: Array, y: float) -> Array:
+    """Where a line of one y enters and leaves a polygon; (k, 2)."""
+    x0, y0, x1, y1 = sides[(sides[:, 1] <= y) & (y < sides[:, 3])].T
+    return np.sort(x0 + (y - y0) / (y1 - y0) * (x1 - x0)).reshape(-1, 2)
 
 
 def correlated_variance(xy: Array, weighted: Array, length: float, side: float) -> float:

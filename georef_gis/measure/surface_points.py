@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,9 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame
+from georef_gis.measure.surface_common import CommonErrors
+from georef_gis.measure.surface_field import Sampled, bounds_of
+from georef_gis.model.mesh import LocalMap
 from georef_gis.model.tie_points import GroundPoints
 
 # random halves of the points, in pairs
@@ -36,6 +40,8 @@ _LEFT = (0.5, 0.25, 0.125)
 _SIDE = 1.2
 # powers of a triangle's size that what it misses grows by: from rough ground to smooth
 _POWERS = (1.0, 4.0)
+# points that a small part of a surface must have
+_TRIANGLES = 8
 # rays from which on a wrong match shows, and points below which two must do
 _RAYS, _FEWEST = 3, 40
 
@@ -50,22 +56,30 @@ class PointField:
         Without blunders.
     sigma : shape (n,), m
         One sigma of each height by itself.
-    shared : m
-        One sigma of what neighbours have in common.
-    level, scale
+    common, scale
         Of the block, see `HeightField`.
     """
 
     p_enu: Array
     sigma: Array
-    shared: float
-    level: float = 0.0
+    common: CommonErrors
     scale: float = 0.0
     name: str = "adjusted points"
 
     @classmethod
-    def of(cls, points: GroundPoints, *, level: float = 0.0, scale: float = 0.0) -> PointField:
+    def of(
+        cls, points: GroundPoints, *, level: float = 0.0, common: CommonErrors | None = None,
+        scale: float = 0.0,
+    ) -> PointField:  # fmt: skip
         """Surface of an adjustment's points.
+
+        Parameters
+        ----------
+        level : m
+            One sigma of a shift of points and photos together.
+        common
+            Of the heights but for that; without it what the points' own sigmas hold beyond their
+            scatter is taken for a shift.
 
         Raises
         ------
@@ -82,10 +96,8 @@ class PointField:
         seen = (1.4826 * float(np.median(np.abs(off)))) ** 2 / (1.0 + 1.0 / _NEIGHBOURS)
         stated = float(np.median(sigma**2))
         own = min(1.0, seen / stated) if stated > 0 else 1.0
-        return cls(
-            p_enu=p, sigma=sigma * math.sqrt(own), shared=math.sqrt(stated * (1.0 - own)),
-            level=level, scale=scale,
-        )  # fmt: skip
+        known = common or CommonErrors.level(math.sqrt(stated * (1.0 - own)))
+        return cls(p_enu=p, sigma=sigma * math.sqrt(own), common=known.raised(level), scale=scale)
 
     @functools.cached_property
     def _tin(self) -> Delaunay:
@@ -112,37 +124,38 @@ class PointField:
         """Distance over which it is smooth, m."""
         return self.spacing / 2.0
 
-    @property
-    def common(self) -> float:
-        """One sigma of what all heights above the datum share, m."""
-        return math.hypot(self.shared, self.level)
-
     def z_at(self, xy_enu: ArrayLike) -> Array:
         """Up coordinate in enu, m; (..., 2) -> (...), NaN outside and in gaps."""
-        corners, share = self._corners(xy_enu)
-        return np.asarray(np.sum(share * self.p_enu[corners, 2], axis=-1))
+        return self._z(*self._triangles(xy_enu))
 
-    def height_on_map(self, frame: MapFrame, xy_map: ArrayLike) -> Array:
-        """Height above the ellipsoid, m, at places of a map; (..., 2) -> (...), NaN outside."""
-        xy = np.asarray(xy_map, dtype=np.float64)
-        level = frame.origin.geo_from_enu(np.append(self._middle, np.median(self.p_enu[:, 2])))[2]
-        p = frame.enu_from_map(np.concatenate([xy, np.full((*xy.shape[:-1], 1), level)], axis=-1))
-        p[..., 2] = self.z_at(p[..., :2])
-        return np.asarray(frame.origin.geo_from_enu(p)[..., 2])
+    def on_map(self, frame: MapFrame, xy_map: Array) -> Sampled:
+        """Heights and local sigmas at places of a map; (..., 2) CRS units -> (...)."""
+        level = float(frame.origin.geo_from_enu(np.append(self._middle, self._usual_z))[2])
+        plane = LocalMap.fit(frame, bounds_of(xy_map), (level, level))
+        level_of = np.full((*xy_map.shape[:-1], 1), level)
+        p = plane.enu_from_map(np.concatenate([xy_map, level_of], axis=-1))
+        triangle, share = self._triangles(p[..., :2])
+        # up is the plumb line to 1e-8 within a km
+        return Sampled(
+            height=level + self._z(triangle, share) - p[..., 2], local=self._local(triangle, share)
+        )
 
     def local(self, xy_enu: ArrayLike) -> Array:
         """One sigma of heights against their surroundings, m; (..., 2) -> (...).
 
         That of the points, and of what a flat triangle misses: it grows with the triangle.
         """
-        corners, share = self._corners(xy_enu)
-        noise = np.sum((share * self.sigma[corners]) ** 2, axis=-1)
-        sides = np.linalg.norm(self.p_enu[corners, :2] - self.p_enu[np.roll(corners, 1, -1), :2],
-                               axis=-1)  # fmt: skip
-        factor, power = self._missed
+        return self._local(*self._triangles(xy_enu))
+
+    def _z(self, triangle: NDArray[np.intp], share: Array) -> Array:
+        return _over_corners(share, self._heights, triangle)
+
+    def _local(self, triangle: NDArray[np.intp], share: Array) -> Array:
+        squares = share**2
         # nothing is missed at a corner, and most amid the triangle: the mean of this is one
-        amid = 2.0 * (1.0 - np.sum(share**2, axis=-1))
-        return np.asarray(np.sqrt(noise + factor * sides.mean(axis=-1) ** power * amid))
+        amid = 2.0 * (1.0 - squares.sum(axis=0))
+        noise = _over_corners(squares, self._variances, triangle)
+        return np.asarray(np.sqrt(noise + self._missed_in[triangle] * amid))
 
     @functools.cached_property
     def _missed(self) -> tuple[float, float]:
@@ -154,13 +167,13 @@ class PointField:
         sizes, variances = [], []
         for share in _LEFT:
             some = rng.random(len(self.p_enu)) < share
-            if np.count_nonzero(some) < 8 or np.count_nonzero(~some) < 8:
+            if min(np.count_nonzero(some), np.count_nonzero(~some)) < _TRIANGLES:
                 continue
-            coarse = PointField(p_enu=self.p_enu[some], sigma=self.sigma[some], shared=0.0)
-            others = self.p_enu[~some]
-            corners, weights = coarse._corners(others[:, :2])
-            off = others[:, 2] - np.sum(weights * coarse.p_enu[corners, 2], axis=-1)
-            noise = np.sum((weights * coarse.sigma[corners]) ** 2, -1) + self.sigma[~some] ** 2
+            coarse, others = self._part(some), self.p_enu[~some]
+            triangle, weights = coarse._triangles(others[:, :2])
+            off = others[:, 2] - coarse._z(triangle, weights)
+            noise = _over_corners(weights**2, coarse._variances, triangle)
+            noise = noise + self.sigma[~some] ** 2
             known = np.isfinite(off)
             if not np.any(known):
                 continue
@@ -170,41 +183,77 @@ class PointField:
             sizes.append(coarse.spacing * _SIDE)
         return _power_law(np.array(sizes), np.array(variances))
 
-    def _corners(self, xy_enu: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """Points about places and their shares, (..., 3) each; NaN outside and in gaps."""
+    def _triangles(self, xy_enu: ArrayLike) -> tuple[NDArray[np.intp], Array]:
+        """Triangle of each place, -1 outside, and the shares of its corners; (...), (3, ...)."""
         xy = np.asarray(xy_enu, dtype=np.float64) - self._middle
-        simplex = self._tin.find_simplex(xy)
-        transform = self._tin.transform[simplex]
-        first = np.einsum("...ij,...j->...i", transform[..., :2, :], xy - transform[..., 2, :])
-        share = np.concatenate([first, 1.0 - first.sum(axis=-1, keepdims=True)], axis=-1)
-        known = (simplex >= 0) & ~self._gaps[simplex]
-        share = np.where(known[..., None], share, np.nan)
-        return self._tin.simplices[simplex], share
+        triangle = self._tin.find_simplex(xy)
+        x0, y0, a, b, c, d = self._transforms
+        x, y = xy[..., 0] - x0[triangle], xy[..., 1] - y0[triangle]
+        share = np.empty((3, *xy.shape[:-1]))
+        share[0] = a[triangle] * x + b[triangle] * y
+        share[1] = c[triangle] * x + d[triangle] * y
+        share[2] = 1.0 - share[0] - share[1]
+        return triangle, share
 
     @functools.cached_property
-    def _gaps(self) -> NDArray[np.bool_]:
+    def _transforms(self) -> Array:
+        """Last corner of each triangle, m, and what takes places to shares, 1/m; (6, t)."""
+        transform = self._tin.transform
+        return np.vstack([transform[:, 2].T, transform[:, 0].T, transform[:, 1].T])
+
+    @functools.cached_property
+    def _sides(self) -> Array:
+        """Sides of the triangles, m; (t, 3)."""
         corners = self.p_enu[self._tin.simplices, :2]
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-        return np.asarray(sides.max(axis=1) > _GAP * self.spacing)
+        return np.asarray(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2))
+
+    @functools.cached_property
+    def _heights(self) -> Array:
+        """Of the corners of triangles, m; (3, t + 1): NaN for a gap, and in the last for none."""
+        z = self.p_enu[self._tin.simplices.T, 2]
+        z[:, self._sides.max(axis=1) > _GAP * self.spacing] = np.nan
+        return np.hstack([z, np.full((3, 1), np.nan)])
+
+    @functools.cached_property
+    def _variances(self) -> Array:
+        """Like `_heights`: of the heights, m^2."""
+        variances = self.sigma[self._tin.simplices.T] ** 2
+        gaps = np.isnan(self._heights)
+        return np.where(gaps, np.nan, np.hstack([variances, np.zeros((3, 1))]))
+
+    @functools.cached_property
+    def _missed_in(self) -> Array:
+        """Variance of what each triangle misses, m^2; (t + 1,)."""
+        factor, power = self._missed
+        return np.append(factor * self._sides.mean(axis=1) ** power, np.nan)
+
+    @functools.cached_property
+    def _usual_z(self) -> float:
+        return float(np.median(self.p_enu[:, 2]))
 
     def alike(self, extent: float) -> Sequence[float]:
         """Length, m, over which local errors are alike: that of a triangle."""
         return [self.spacing / 2.0]
 
-    def resampled(self) -> Sequence[PointField]:
-        """Surfaces of random halves of the points."""
-        rng = np.random.default_rng(0)
+    def resampled(self, bounds: tuple[float, float, float, float]) -> Sequence[PointField]:
+        """Surfaces within bounds, m, of random halves of the points."""
+        rng, reach = np.random.default_rng(0), _GAP * self.spacing
+        low, high = np.array(bounds[:2]) - reach, np.array(bounds[2:]) + reach
+        near = np.flatnonzero(np.all((self.p_enu[:, :2] > low) & (self.p_enu[:, :2] < high), 1))
         out = []
         for _ in range(HALVES // 2):
-            order = rng.permutation(len(self.p_enu))
+            order = rng.permutation(near)
             for half in (order[: len(order) // 2], order[len(order) // 2 :]):
-                out.append(
-                    PointField(
-                        p_enu=self.p_enu[half], sigma=self.sigma[half], shared=self.shared,
-                        level=self.level, scale=self.scale, name=self.name,
-                    )
-                )  # fmt: skip
+                if len(half) >= _TRIANGLES:
+                    out.append(self._part(half))
         return out
+
+    def _part(self, chosen: NDArray[Any]) -> PointField:
+        """The same surface from some of its points."""
+        return PointField(
+            p_enu=self.p_enu[chosen], sigma=self.sigma[chosen], common=self.common,
+            scale=self.scale, name=self.name,
+        )  # fmt: skip
 
     def near(self, middle: Array, reach: float) -> PointField:
         """The points within a square about a place, m: a small part of a large block.
@@ -215,15 +264,17 @@ class PointField:
             If hardly a point is there.
         """
         inside = np.all(np.abs(self.p_enu[:, :2] - middle) <= reach, axis=1)
-        if np.count_nonzero(inside) < 8:
+        if np.count_nonzero(inside) < _TRIANGLES:
             raise GeometryError(
                 f"{np.count_nonzero(inside)} adjusted points lie within {reach:.0f} m of the "
                 "area: no surface; draw it where photos overlap"
             )
-        return PointField(
-            p_enu=self.p_enu[inside], sigma=self.sigma[inside], shared=self.shared,
-            level=self.level, scale=self.scale, name=self.name,
-        )  # fmt: skip
+        return self._part(inside)
+
+
+def _over_corners(weights: Array, values: Array, triangle: NDArray[np.intp]) -> Array:
+    """Weighted sum over the corners of triangles; (3, ...), (3, t), (...) -> (...)."""
+    return np.asarray(sum(w * v[triangle] for w, v in zip(weights, values, strict=True)))
 
 
 def _power_law(sizes: Array, variances: Array) -> tuple[float, float]:

@@ -2,7 +2,8 @@
 
 A volume is a weighted sum of heights of the surface: those of the cells inside, and those that the
 base rests on, with the opposite sign. So its variance is that of the sum of their errors, which are
-correlated; what all heights share cancels where the base rests on the same surface.
+correlated: a shift of all heights cancels where the base rests on the same surface, and their tilt
+where it is a plane through the rim.
 """
 
 from __future__ import annotations
@@ -12,17 +13,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import shapely
+from scipy.special import erfc
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.measure.surface_base import Base, MakeBase
-from georef_gis.measure.surface_field import HeightField
-from georef_gis.measure.surface_integral import Cells, cells_of, correlated_variance
+from georef_gis.measure.surface_field import HeightField, bounds_of
+from georef_gis.measure.surface_integral import MOST_CELLS, Cells, cells_of, correlated_variance
 
 # of the area; more without a height and no volume is told
 MOST_MISSING = 0.02
 # points inside an area of which a shape can be told
 FEW_POINTS = 20
+# cells on which a surface is held against those of its halves
+_CELLS_OF_HALVES = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,17 +114,17 @@ class _Sides:
         return np.asarray(self.weights @ self.off)
 
 
-def _sides(field: HeightField, area: Any, base: Base) -> _Sides:
-    cells, z, missing = _heights(field, area)
+def _sides(field: HeightField, area: Any, base: Base, most: int = MOST_CELLS) -> _Sides:
+    cells, z, missing = _heights(field, area, most)
     off = z - base.z_at(cells.xy)
     if not np.all(np.isfinite(off)):
         raise GeometryError(f"the base ({base.told}) does not reach over the whole area")
     return _Sides(cells=cells, off=off, missing=missing)
 
 
-def _heights(field: HeightField, area: Any) -> tuple[Cells, Array, float]:
+def _heights(field: HeightField, area: Any, most: int) -> tuple[Cells, Array, float]:
     """Cells that have a height, these heights, and the share of the area that has none."""
-    cells = cells_of(area, detail=field.detail)
+    cells = cells_of(area, detail=field.detail, most=most)
     z = field.z_at(cells.xy)
     known = np.isfinite(z)
     missing = 1.0 - float(cells.area[known].sum() / cells.area.sum())
@@ -152,7 +157,7 @@ def _noise_bias(off: Array, sigma: Array, area: Array) -> float:
     The mean of |x + e| is more than |x|: sigma (phi(r) - r (1 - Phi(r))) with r = |x| / sigma.
     """
     r = np.abs(off) / np.maximum(sigma, 1e-9)
-    tail = 0.5 * np.array([math.erfc(v / math.sqrt(2.0)) for v in np.minimum(r, 8.0)])
+    tail = 0.5 * erfc(r / math.sqrt(2.0))
     more = np.exp(-0.5 * r**2) / math.sqrt(2.0 * math.pi) - r * tail
     return float(np.maximum(more * sigma, 0.0) @ area)
 
@@ -165,21 +170,25 @@ class _Errors:
     area: Any
     base: Base
     found: _Sides
+    # volumes of halves of its points less those of all, m^3; (h, 3)
     halves: Array
 
     @classmethod
     def of(
         cls, field: HeightField, area: Any, base: Base, make_base: MakeBase, found: _Sides
     ) -> _Errors:
-        """With the volumes of the halves of the surface's points, (h, 3)."""
-        halves = []
-        for half in field.resampled():
+        """With what the volumes of halves of the surface's points are off."""
+        halves = field.resampled(bounds_of(shapely.get_coordinates(area)))
+        off = []
+        if halves:
+            whole = _sides(field, area, base, _CELLS_OF_HALVES).sums
+        for half in halves:
             try:
-                halves.append(_sides(half, area, make_base(half)).sums)
+                off.append(_sides(half, area, make_base(half), _CELLS_OF_HALVES).sums - whole)
             except GeometryError:
                 continue
         return cls(
-            field=field, area=area, base=base, found=found, halves=np.array(halves).reshape(-1, 3)
+            field=field, area=area, base=base, found=found, halves=np.array(off).reshape(-1, 3)
         )
 
     def parts(self) -> dict[str, Array]:
@@ -188,10 +197,15 @@ class _Errors:
         own = math.hypot(*(float(part[2]) for part in out.values()))
         model = self.base.model_sigma(self.field, self.area, own)
         out["scale"] = 3.0 * self.field.scale * np.abs(self.found.sums)
-        others = [self.base.support(self.found.cells, w).variance for w in self.found.weights]
-        out["base"] = np.sqrt(model**2 + np.array(others))
-        if not self.base.on_surface:
-            out["level"] = self.field.common * np.abs(self.found.weights.sum(axis=1))
+        supports = [self.base.support(self.found.cells, w) for w in self.found.weights]
+        out["base"] = np.sqrt(model**2 + np.array([support.variance for support in supports]))
+        out["block"] = np.array([
+            self.field.common.sigma_of_sum(
+                np.vstack([self.found.cells.xy, support.xy]),
+                np.concatenate([weights, support.weights]),
+            )
+            for weights, support in zip(self.found.weights, supports, strict=True)
+        ])  # fmt: skip
         return out
 
     def _of_halves(self) -> dict[str, Array]:
@@ -203,15 +217,27 @@ class _Errors:
         all by as much as that one errs. The mean difference is what flat triangles cut off: half
         of the points miss twice as much.
         """
-        off = self.halves - self.found.sums
-        return {"points": off.std(axis=0, ddof=1), "between points": np.abs(off.mean(axis=0))}
+        sigma = self.field.local(self.found.cells.xy)
+        between = np.hypot(self.halves.mean(axis=0), self._both_sides(sigma))
+        return {"points": self.halves.std(axis=0, ddof=1), "between points": between}
 
     def _of_law(self) -> dict[str, Array]:
         """What the surface's errors give by the law that is known of them."""
         sigma = self.field.local(self.found.cells.xy)
-        noise = _noise_bias(self.found.off, sigma, self.found.cells.area)
         local = [math.sqrt(self._law(weights, sigma)) for weights in self.found.weights]
-        return {"surface": np.hypot(local, [noise, noise, 0.0])}
+        return {"surface": np.hypot(local, self._both_sides(sigma))}
+
+    def _both_sides(self, sigma: Array) -> Array:
+        """By how much errors of heights make both sides larger; (3,), m^3.
+
+        Parameters
+        ----------
+        sigma : shape (n,), m
+            One sigma of the cells' heights against their surroundings; the base's is added.
+        """
+        both = np.hypot(sigma, self.base.local(self.found.cells.xy))
+        more = _noise_bias(self.found.off, both, self.found.cells.area)
+        return np.array([more, more, 0.0])
 
     def _law(self, weights: Array, sigma: Array) -> float:
         cells, support = self.found.cells, self.base.support(self.found.cells, weights)

@@ -196,17 +196,16 @@ class JointErrors:
         size = 6 * r + len(self.cameras.covariance)
         out = np.empty((n, size, size))
         out[:, 6 * r :, 6 * r :] = self.cameras.covariance
-        for i in range(r):
-            rows = slice(6 * i, 6 * i + 6)
-            for j in range(i, r):
-                columns = slice(6 * j, 6 * j + 6)
-                pairs = self.pose_pairs(photos[:, i], photos[:, j])
-                out[:, rows, columns] = pairs
-                if j > i:
-                    out[:, columns, rows] = np.swapaxes(pairs, 1, 2)
-            across = self._with_cameras(photos[:, i])
-            out[:, rows, 6 * r :] = across
-            out[:, 6 * r :, rows] = np.swapaxes(across, 1, 2)
+        i, j = np.triu_indices(r)
+        pairs = self.pose_pairs(photos[:, i].ravel(), photos[:, j].ravel())
+        pairs = pairs.reshape(n, len(i), 6, 6)
+        poses = np.empty((n, r, 6, r, 6))
+        poses[:, j, :, i] = pairs.transpose(1, 0, 3, 2)
+        poses[:, i, :, j] = pairs.transpose(1, 0, 2, 3)
+        across = self._with_cameras(photos.ravel()).reshape(n, 6 * r, size - 6 * r)
+        out[:, : 6 * r, : 6 * r] = poses.reshape(n, 6 * r, 6 * r)
+        out[:, : 6 * r, 6 * r :] = across
+        out[:, 6 * r :, : 6 * r] = np.swapaxes(across, 1, 2)
         return out
 
     def _with_cameras(self, photo: Ints) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from georef_gis.measure.budget_adjusted import BlockSplit, split
+from georef_gis.measure.budget_adjusted import MATCHING, BlockSplit, split
 from georef_gis.measure.budget_parts import ChainSplit, PairSplit, SourcedErrors, TagSplit
 from georef_gis.project.columns_file import read_columns
 from processing_algorithms.measure.budget_block import (
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from georef_gis.orient.adjustment.flight_model import FlightModel
     from georef_gis.project import Project
 
+# of the variance: the matches can take none away
+_AGREES = 0.02
 # words of the report for the parts of a pose that were weighed down
 _COMPONENTS = ("east", "north", "height", "angle about east", "angle about north", "heading")
 
@@ -101,7 +103,10 @@ def _adjusted(
     ids = tuple(str(key) for key in kept["photo_ids"])
     names = tuple(str(name) for name in kept["shared_names"])
     if ids != block.photo_ids or names != tuple(block.shared_names):
-        notes.append("photos or flights changed after the adjustment: run `georef run` again")
+        notes.append(
+            "photos, flights or the program changed after the adjustment: its poses are one source "
+            "until `georef run --from adjust`"
+        )
         return None
     covariance = kept["covariance"]
     noises = [_noise_of(flight, direct, exposures) for flight in flights]
@@ -109,6 +114,12 @@ def _adjusted(
         covariance, known_of_block(block, flights, noises, covariance), n_photos=len(ids),
         with_level=bool(int(kept["with_level"])),
     )  # fmt: skip
+    if np.any(np.diag(parts[MATCHING]) < -_AGREES * np.diag(covariance)):
+        notes.append(
+            "the adjustment trusted the camera or the headings less than is stated: its poses are "
+            "one source"
+        )
+        return None
     return BlockSplit(by_source=parts, rows=_rows_of(project, errors, ids, names))
 
 

@@ -48,16 +48,13 @@ def drawn(
     crs: CRS,
     *,
     layer: str | None = None,
-    default_crs: CRS | None = None,
 ) -> list[Drawn]:
     """Shapes of a file, or the one that corners make.
 
     Parameters
     ----------
     crs
-        Wanted; a horizontal one.
-    default_crs
-        Of corners that name none; without it `crs`.
+        Wanted; a horizontal one. That of corners which name none.
 
     Raises
     ------
@@ -71,13 +68,13 @@ def drawn(
         raise InputError(f"give {what} by a file or by its corners, not both", field=kind)
     if file is not None:
         return _of_file(kind, file, layer, crs)
-    return [Drawn(name=kind, shape=_of_corners(kind, corners, crs, default_crs or crs))]
+    return [Drawn(name=kind, shape=_of_corners(kind, corners, crs))]
 
 
 # -- corners -----------------------------------------------------------------------------------
 
 
-def _of_corners(kind: Kind, corners: Sequence[MapPoint], crs: CRS, default: CRS) -> Any:
+def _of_corners(kind: Kind, corners: Sequence[MapPoint], crs: CRS) -> Any:
     import numpy as np
     import shapely
 
@@ -90,7 +87,13 @@ def _of_corners(kind: Kind, corners: Sequence[MapPoint], crs: CRS, default: CRS)
         )
     places = []
     for corner in corners:
-        own = horizontal_crs(parse_crs(corner.crs)) if corner.crs else default
+        own = horizontal_crs(parse_crs(corner.crs)) if corner.crs else crs
+        if not own.is_projected and (abs(corner.x) > 360.0 or abs(corner.y) > 90.0):
+            raise InputError(
+                f"{corner.x:g},{corner.y:g} is no longitude and latitude, deg; write "
+                "x,y@CRS for places of a map",
+                field="corner",
+            )
         places.append(_moved(np.array([[corner.x, corner.y]]), own, crs, "corner")[0])
     xy = np.array(places)
     return _sound(shapely.Polygon(xy) if kind == "area" else shapely.LineString(xy), "corner")
@@ -163,6 +166,7 @@ def _layers(kind: Kind, path: Path, layer: str | None) -> dict[str, tuple[list[D
 
 
 def _shapes(kind: Kind, path: Path, layer: str) -> tuple[list[Drawn], str | None]:
+    import numpy as np
     import pyogrio
     import shapely
 
@@ -173,7 +177,9 @@ def _shapes(kind: Kind, path: Path, layer: str) -> tuple[list[Drawn], str | None
     )
     out: list[Drawn] = []
     for k, blob in enumerate(blobs if blobs is not None else ()):
-        shape = None if blob is None else shapely.from_wkb(blob, on_invalid="ignore")
+        with np.errstate(invalid="ignore"):
+            # not a number: refused below
+            shape = None if blob is None else shapely.from_wkb(blob, on_invalid="ignore")
         parts = [] if shape is None else shapely.get_parts(shape)
         mine = [part for part in parts if part.geom_type == _TYPES[kind] and not part.is_empty]
         title = str(values[0][k]) if named and values[0][k] is not None else str(k + 1)

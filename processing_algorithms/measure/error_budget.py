@@ -216,7 +216,7 @@ def _summary(
         "sigma_h_m": round(whole.horizontal(), 4),
         "sigma_u_m": round(float(whole.sigma()[2]), 4),
         "sources_h_m": {s: round(whole.horizontal(s), 4) for s in whole.by_source},
-        "fix_first": [remedy_line(remedy) for remedy in found[:3]],
+        "fix_first": {remedy.source: remedy_line(remedy) for remedy in found[:3]},
         "doubts": doubts,
     }
 

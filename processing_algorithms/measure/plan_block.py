@@ -38,6 +38,8 @@ TURN_S = 20.0
 TILT, CRAB, WANDER = np.radians(2.0), np.radians(3.0), 0.7
 # of the height, one sigma: relief that all sites have, against which heights are told
 RELIEF = 0.02
+# m and rad, one sigma: no place and no angle is known better
+LEAST_SIGMA = np.repeat([1e-3, 1e-5], 3)
 # px and m, one sigma: a mark on a control point, and its survey
 MARK_PX, SURVEY = 0.5, 0.02
 
@@ -145,9 +147,8 @@ def planned_photos(
 ) -> list[OrientedPhoto]:  # fmt: skip
     """Photos about where they are planned, with the covariance that the sensors give a pose."""
     s, rng = sensors, np.random.default_rng(2)
-    covariance = np.diag(
-        np.square([s.gnss, s.gnss, s.gnss_up, s.roll_pitch, s.roll_pitch, s.yaw])
-    )  # fmt: skip
+    sigmas = np.array([s.gnss, s.gnss, s.gnss_up, s.roll_pitch, s.roll_pitch, s.yaw])
+    covariance = np.diag(np.maximum(sigmas, LEAST_SIGMA) ** 2)
     nadir = R_ENU_FROM_NED_SAME_PLACE @ R_BODY_FROM_CAM_NADIR
     out, clock = [], 0.0
     for line in lines:

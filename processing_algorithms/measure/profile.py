@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from georef_gis.measure.profile import Profile
     from georef_gis.project import Project
 
+# of the table; the plot beside it has the same name
+_SUFFIXES = (".csv", ".json")
+
 
 class ProfileParameters(p.Parameters):
     """Parameters of `profile`."""
@@ -33,7 +36,10 @@ class ProfileParameters(p.Parameters):
     heights: Literal["orthometric", "ellipsoidal"] = p.choice("orthometric", title="Heights")
     step: p.Length | None = p.length(None, title="Between stations, on the ground", gt=0)
     target: p.File | None = p.file(
-        None, title="CSV to write; by default products/profile.csv", writes=True
+        None,
+        title="CSV to write; by default products/profile.csv",
+        suffixes=_SUFFIXES,
+        writes=True,
     )
 
 
@@ -63,6 +69,7 @@ class ProfileTool(Algorithm[ProfileParameters]):
         from processing_algorithms.measure.drawn import drawn
         from processing_algorithms.measure.surface_source import chosen_field
 
+        _refuse_picture(parameters.target)
         project = context.require_project()
         frame = load_frame(project.database)
         lines = drawn("line", parameters.line, parameters.corner, frame.horizontal,
@@ -77,14 +84,48 @@ class ProfileTool(Algorithm[ProfileParameters]):
             line.name: profile_along(field, frame, line.shape, reference, step=parameters.step)
             for line in lines
         }
+        doubts = _gaps(found)
+        for line in doubts:
+            feedback.warn(line)
         outputs = _write(project, parameters.target, found)
         summary: dict[str, Any] = {
             "products": [str(path) for path in outputs.values()],
             "of": field.name,
             "heights": reference.told,
             "profiles": [_told(name, profile) for name, profile in found.items()],
+            "doubts": doubts,
         }
         return Result(outputs=outputs, summary=summary)
+
+
+def _refuse_picture(target: Path | None) -> None:
+    """Refuse a table by the name of the picture that is written beside it.
+
+    Raises
+    ------
+    InputError
+        If the name is not that of a table.
+    """
+    from georef_gis.errors import InputError
+
+    if target is not None and target.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"{target} is no table; name it {' or '.join(_SUFFIXES)}", field="target")
+
+
+def _gaps(found: dict[str, Profile]) -> list[str]:
+    """Where profiles have no height, in words."""
+    import numpy as np
+
+    out = []
+    for name, profile in found.items():
+        missing = np.isnan(profile.height)
+        if missing.any():
+            first, last = profile.station[missing][[0, -1]]
+            out.append(
+                f"{name}: {missing.sum()} of {len(missing)} stations have no height, the first at "
+                f"{first:.1f} m, the last at {last:.1f} m"
+            )
+    return out
 
 
 def _told(name: str, profile: Profile) -> dict[str, Any]:

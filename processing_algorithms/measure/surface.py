@@ -1,4 +1,4 @@
-"""Tool `surface`: the ground or the adjusted points as GeoTIFF with sigma, and as LAS."""
+"""Tool `surface`: the ground or the adjusted points as GeoTIFF and as LAS, with their sigma."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from georef_gis.measure.surface_raster import HeightReference
     from georef_gis.model.grid import Grid
     from georef_gis.project import Project
-    from processing_algorithms.site import Site
+    from processing_algorithms.measure.surface_las_files import CellFile
 
-RASTER, POINTS = "surface.tif", "points.las"
+RASTER, POINTS, CELLS = "surface.tif", "points.las", "surface.las"
 # cells that a raster may have
 MOST_CELLS = 4_000_000_000
 
@@ -36,15 +36,19 @@ class SurfaceParameters(p.Parameters):
     cell: p.Length | None = p.length(
         None, title="Side of a cell on the ground; by default half of what the surface holds", gt=0
     )
-    las: p.Flag = p.flag(True, title="Adjusted points as LAS")
+    las: Literal["points", "cells", "none"] = p.choice(
+        "points", title="LAS of",
+        help="points: the adjusted points, the cells where there are none; cells: those of the "
+        "surface",
+    )  # fmt: skip
 
 
 class SurfaceTool(Algorithm[SurfaceParameters]):
-    """The surface as GeoTIFF, heights with their sigma, and the adjusted points as LAS 1.4.
+    """The surface as GeoTIFF and LAS 1.4, heights with their sigma.
 
-    The second band is one sigma of the height, what all heights share included. It is no dense
-    surface model: between adjusted points, metres apart, it is what joins them; trees and roofs are
-    in it as far as points lie on them.
+    The second band is one sigma of the height, the third one sigma against its surroundings, which
+    is without what all heights share. It is no dense surface model: between adjusted points,
+    metres apart, it is what joins them; trees and roofs are in it as far as points lie on them.
     """
 
     id, name, group = "surface", "Surface", "measure"
@@ -53,12 +57,13 @@ class SurfaceTool(Algorithm[SurfaceParameters]):
     uses_quick = True
     outputs = (
         Output(name="surface", title="Height and sigma", type="RasterLayer"),
-        Output(name="points", title="Adjusted points as LAS"),
+        Output(name="points", title="Adjusted points, or the surface's cells, as LAS"),
     )
 
     def run(self, context: Context, parameters: SurfaceParameters, feedback: Feedback) -> Result:
         """Write them."""
         from georef_gis.measure.surface_raster import HeightReference
+        from processing_algorithms.measure.surface_las_files import CellFile, write_points
         from processing_algorithms.measure.surface_source import project_field
         from processing_algorithms.site import load_site
 
@@ -68,24 +73,34 @@ class SurfaceTool(Algorithm[SurfaceParameters]):
         reference = HeightReference(kind=parameters.heights, geoid=project.settings.gnss.geoid)
         project.products.mkdir(parents=True, exist_ok=True)
         grid, cover = _grid(project, site.frame, field, parameters.cell)
-        path = project.products / RASTER
-        cells = _write(path, field, grid, (site.frame, reference, cover), feedback)
-        outputs = {"surface": path}
+        outputs = {"surface": project.products / RASTER}
+        adjusted = (project.adjustment / "points.npz").exists()
+        las = CellFile(grid) if _of_cells(parameters.las, adjusted=adjusted) else None
+        place = site.frame, reference, cover
+        cells = _write(outputs["surface"], field, grid, place, (las, feedback))
         summary: dict[str, Any] = {
             "of": field.name,
             "heights": reference.told,
             "cell_m": round(grid.pixel * site.gsd_unit, 4),
             "cells": cells,
             "area_m2": round(cells * (grid.pixel * site.gsd_unit) ** 2, 1),
-            "sigma_common_m": round(field.common, 4),
+            "sigma_common_m": round(field.common.sigma, 4),
         }
         if math.isfinite(field.spacing):
             summary["point_spacing_m"] = round(field.spacing, 3)
-        if parameters.las and (project.adjustment / "points.npz").exists():
+        if parameters.las == "points" and adjusted:
             outputs["points"] = project.products / POINTS
-            summary["points"] = _write_las(outputs["points"], project, site, reference)
+            summary["points"] = write_points(outputs["points"], project, site, reference)
+        elif las is not None:
+            outputs["points"] = project.products / CELLS
+            las.write(outputs["points"], reference.point_wkt(site.frame.horizontal))
         products = [str(path) for path in outputs.values()]
         return Result(outputs=outputs, summary={"products": products, **summary})
+
+
+def _of_cells(las: str, *, adjusted: bool) -> bool:
+    """Whether a LAS of the surface's cells is to be written."""
+    return las == "cells" or (las == "points" and not adjusted)
 
 
 def _grid(
@@ -111,6 +126,8 @@ def _grid(
     unit = metres_per_unit(frame.horizontal)
     x0, y0, x1, y1 = shapely.bounds(cover)
     count = (x1 - x0) * (y1 - y0) * (unit / wanted) ** 2
+    if count < 1.0:
+        raise InputError(f"{wanted:g} m is longer than the site; give less", field="cell")
     if count > MOST_CELLS:
         raise InputError(f"{wanted:g} m makes {count:.1e} cells; give a longer one", field="cell")
     grid = Grid.over(
@@ -128,13 +145,14 @@ def _nice(length: float) -> float:
 
 def _write(
     path: Path, field: HeightField, grid: Grid, place: tuple[MapFrame, HeightReference, Any],
-    feedback: Feedback,
+    out: tuple[CellFile | None, Feedback],
 ) -> int:  # fmt: skip
-    """Write the raster; how many cells have a height."""
+    """Write the raster, and hand its cells to a LAS; how many have a height."""
     from georef_gis.measure.surface_raster import surface_profile, surface_tiles
     from georef_gis.rasters.writer import TiledWriter
 
     frame, reference, cover = place
+    las, feedback = out
 
     def tell(share: float) -> None:
         check_cancelled(feedback)
@@ -146,41 +164,7 @@ def _write(
             field, grid, frame, reference, cover, tell=tell
         ):
             writer.write_tile(row, col, values, known)
+            if las is not None:
+                las.add(row, col, values, known)
             count += int(known.sum())
     return count
-
-
-def _write_las(path: Path, project: Project, site: Site, reference: HeightReference) -> int:
-    """Write the adjusted points; how many there are."""
-    import numpy as np
-
-    from georef_gis.geodesy import parse_crs
-    from georef_gis.measure.ellipses import on_map
-    from georef_gis.measure.surface_las import Extra, write_las
-    from georef_gis.rasters.files import export_errors, whole_file
-    from processing_algorithms.measure.surface_source import block_level, load_adjusted_points
-
-    points = load_adjusted_points(project)
-    good = np.isfinite(points.p_enu).all(axis=1) & np.isfinite(points.covariance).all(axis=(1, 2))
-    p_enu, covariance = points.p_enu[good], points.covariance[good]
-    p_map = site.frame.map_from_enu(p_enu)
-    # heights of products are above the ellipsoid of the positions
-    above = site.frame.origin.geo_from_enu(p_enu)[:, 2]
-    p_map[:, 2] = reference.from_ellipsoidal(site.frame, p_map[:, :2], above)
-    variance = np.einsum("kii->ki", on_map(site.frame, p_enu, covariance))
-    variance[:, 2] += block_level(site) ** 2
-    sigma = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-    extras = [
-        Extra(name="sigma_e", values=sigma[:, 0], told="one sigma, grid east, m"),
-        Extra(name="sigma_n", values=sigma[:, 1], told="one sigma, grid north, m"),
-        Extra(name="sigma_u", values=sigma[:, 2], told="one sigma of the height, m"),
-        Extra(name="rays", values=points.rays[good].astype(np.uint16), told="photos that see it"),
-        Extra(
-            name="residual", values=points.residual_px[good].astype(np.float32),
-            told="rms of its pixels, px",
-        ),
-    ]  # fmt: skip
-    wkt = parse_crs(reference.crs_wkt(site.frame.horizontal)).to_wkt("WKT1_GDAL")
-    with export_errors(path, lambda: 60 * len(p_map)), whole_file(path) as stream:
-        write_las(stream, p_map, crs_wkt=wkt, extras=extras)
-    return len(p_map)

@@ -52,15 +52,19 @@ class VolumeParameters(p.Parameters):
         None, title="One sigma of that raster's heights", gt=0, advanced=True
     )
     target: p.File | None = p.file(
-        None, title="CSV to write; by default products/volumes.csv", writes=True
+        None,
+        title="CSV to write; by default products/volumes.csv",
+        suffixes=(".csv", ".json"),
+        writes=True,
     )
 
 
 class VolumeTool(Algorithm[VolumeParameters]):
     """Volumes above and below a base inside areas, such as stockpiles and trenches.
 
-    Above is to cut, below is to fill. What all heights share cancels against a base that rests on
-    the same surface; what is left is told by source. Draw the area outside of the toe.
+    Above is to cut, below is to fill. A shift of all heights cancels against a base that rests on
+    the same surface, their tilt against the rim; what is left is told by source. Draw the area
+    outside of the toe.
     """
 
     id, name, group = "volume", "Volume over a base", "measure"
@@ -152,7 +156,7 @@ def _base(project: Project, frame: MapFrame, parameters: VolumeParameters, area:
         raise InputError("give the other surface with --base-raster", field="base")
     import shapely
 
-    from processing_algorithms.measure.surface_source import raster_field
+    from processing_algorithms.measure.surface_given import raster_field
 
     other = raster_field(
         project, frame, parameters.base_raster, around=shapely.get_coordinates(area),
@@ -173,6 +177,10 @@ def _ellipsoidal(project: Project, frame: MapFrame, parameters: VolumeParameters
 
 
 def _row(name: str, found: Volume) -> dict[str, Any]:
+    def rounded(value: float, digits: int) -> float:
+        # no "-0.0"
+        return round(value, digits) + 0.0
+
     return {
         "name": name,
         "area_m2": round(found.area, 2),
@@ -180,11 +188,11 @@ def _row(name: str, found: Volume) -> dict[str, Any]:
         "sigma_above_m3": round(found.sigma_above, 2),
         "below_m3": round(found.below, 2),
         "sigma_below_m3": round(found.sigma_below, 2),
-        "net_m3": round(found.net, 2),
+        "net_m3": rounded(found.net, 2),
         "sigma_net_m3": round(found.sigma_net, 2),
-        "mean_height_m": round(found.mean_height, 3),
-        "highest_m": round(found.highest, 3),
-        "lowest_m": round(found.lowest, 3),
+        "mean_height_m": rounded(found.mean_height, 3),
+        "highest_m": rounded(found.highest, 3),
+        "lowest_m": rounded(found.lowest, 3),
         "base": found.base,
         "level_cancels": found.level_cancels,
         "sigma_parts_m3": "; ".join(f"{k} {v:.2f}" for k, v in found.parts.items() if v > 0.0),

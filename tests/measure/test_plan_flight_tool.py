@@ -78,6 +78,17 @@ def test_what_lines_cannot_tell_is_said_and_a_crossing_helps() -> None:
 
 
 @pytest.mark.slow
+def test_sensors_without_errors_leave_those_of_the_matches() -> None:
+    names = ("gnss", "gnss-up", "roll-pitch", "yaw", "boresight", "lever-arm", "time",
+             "focal-percent", "centre-px", "ground", "click")  # fmt: skip
+    words = [word for name in names for word in (f"--{name}", 0)]
+    found = summary("--height", 90, "--speed", 12, *PAPER, *words)
+    assert found["one_photo_sigma_h_m"] == 0.0
+    # m; pixels of 2.8 cm, half of one a tie point
+    assert 0.0 < found["adjusted_sigma_h_m"] < 0.02
+
+
+@pytest.mark.slow
 def test_blur_overlap_and_relief_are_warned_of() -> None:
     words = ("--height", 60, "--speed", 30, *PAPER, "--overlap", 50, "--exposure", 0.01)
     found = summary(*words, "--relief", 30, *corners(*CORNERS))
@@ -96,8 +107,12 @@ def test_blur_overlap_and_relief_are_warned_of() -> None:
         (("--height", 90, "--speed", 12, *PAPER, "--target", "p.kml"), "needs an area"),
         (("--height", 90, "--speed", 12, *PAPER, "--area", "no.geojson"), "no such file"),
         (("--height", 90, "--speed", 12, *PAPER, *corners(*CORNERS[:2])), "3 or more"),
+        (
+            ("--height", 90, "--speed", 12, *PAPER, *corners("5e5,4e6", "5e5,5e6", "6e5,4e6")),
+            "is no longitude and latitude",
+        ),
     ],
-    ids=["no camera", "height", "nowhere", "no file", "two corners"],
+    ids=["no camera", "height", "nowhere", "no file", "two corners", "places of a map"],
 )  # fmt: skip
 def test_slip_is_one_line(words: tuple[object, ...], line: str, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:

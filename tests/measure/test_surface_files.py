@@ -21,6 +21,7 @@ from georef_gis.measure.report.draw import png
 from georef_gis.measure.surface_field import GroundField, sigma_at
 from georef_gis.measure.surface_las import Extra, write_las
 from georef_gis.measure.surface_raster import (
+    LOCAL_BAND,
     NODATA,
     SIGMA_BAND,
     HeightReference,
@@ -91,9 +92,12 @@ def test_raster_holds_heights_above_the_geoid_and_their_sigma(code: str, tmp_pat
         assert "EGM96" in ds.crs.to_wkt()
         assert ds.tags()["VERTICAL_REFERENCE"].startswith("above the geoid egm96")
         # what all heights share: the surface's own and the photos'
-        assert float(ds.tags()["SIGMA_COMMON_M"]) == pytest.approx(
-            math.hypot(SHARED, LEVEL), abs=1e-4
-        )
+        common = math.hypot(SHARED, LEVEL)
+        assert float(ds.tags()["SIGMA_COMMON_M"]) == pytest.approx(common, abs=1e-4)
+        assert ds.descriptions[2] == LOCAL_BAND
+        both = np.hypot(ds.read(3, masked=True), common)
+        # m; steps of 0.12 mm in both
+        assert np.abs(both - sigmas).max() < 1.3e-4
         rows, cols = np.array([200, 300, 411]), np.array([250, 402, 333])
         x, y = rasterio.transform.xy(ds.transform, rows, cols)
     geo = frame.geo_from_map(np.column_stack([x, y, np.full(3, 280.0)]))
@@ -164,6 +168,18 @@ def test_las_is_read_back_to_a_millimetre_with_its_sigmas() -> None:
     assert "EGM96" in read.header.parse_crs().name
 
 
+@pytest.mark.parametrize("kind", ["orthometric", "ellipsoidal"])
+def test_points_in_feet_have_heights_in_metres(kind: str) -> None:
+    """Without a vertical part readers take heights to count as the map does."""
+    stream = io.BytesIO()
+    reference = HeightReference(kind=kind)  # type: ignore[arg-type]
+    write_las(stream, np.zeros((1, 3)), crs_wkt=reference.point_wkt(parse_crs("EPSG:6601")))
+    stream.seek(0)
+    axes = laspy.read(stream).header.parse_crs().axis_info
+    assert [axis.unit_name for axis in axes] == ["US survey foot", "US survey foot", "metre"]
+    assert ("Ellipsoidal" in axes[2].name) == (kind == "ellipsoidal")
+
+
 def test_las_without_points_or_crs_is_a_file() -> None:
     stream = io.BytesIO()
     write_las(stream, np.zeros((0, 3)), crs_wkt="")
@@ -195,6 +211,10 @@ def test_profile_of_a_slope(code: str) -> None:
     assert len(found.station) == 81
     assert found.height[[0, 50, 80]] == pytest.approx([277.1, 282.1, 280.9], abs=5e-3)
     assert found.sigma == pytest.approx(np.hypot(found.sigma_local, math.hypot(SHARED, LEVEL)))
+    # a shift of all heights is in no rise
+    rise = np.hypot(found.sigma_local, found.sigma_local[0])
+    assert found.sigma_rise[0] == 0.0
+    assert found.sigma_rise[1:] == pytest.approx(rise[1:])
     # the surface grows less sure to the east
     assert found.sigma_local[50] > found.sigma_local[0]
     assert found.rows[0]["height_m"] == pytest.approx(277.1, abs=5e-3)

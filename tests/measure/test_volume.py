@@ -16,6 +16,7 @@ from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, utm_crs
 from georef_gis.measure.surface_base import GivenHeight, LowestLevel, OtherSurface, RimPlane
+from georef_gis.measure.surface_common import CommonErrors
 from georef_gis.measure.surface_field import GroundField
 from georef_gis.measure.surface_integral import cells_of, correlated_variance, ring_of
 from georef_gis.measure.surface_points import PointField
@@ -47,7 +48,8 @@ class Formula:
 def field(heights: Heights, *, shared: float = 0.0, length: float = 2.0) -> GroundField:
     terrain = Formula(heights=heights, sigma=math.hypot(LOCAL, shared))
     errors = GroundErrors(terrain=terrain, shared=shared, length=length)  # type: ignore[arg-type]
-    return GroundField(terrain=terrain, errors=errors, name="formula")  # type: ignore[arg-type]
+    common = CommonErrors.level(shared)
+    return GroundField(terrain=terrain, errors=errors, name="formula", common=common)  # type: ignore[arg-type]
 
 
 def circle(radius: float, x: float = 0.0, y: float = 0.0) -> shapely.Polygon:
@@ -98,7 +100,7 @@ def test_against_a_level_that_is_given() -> None:
     assert found.net == pytest.approx(20 * 10 * 2.0, rel=1e-4)
     assert not found.level_cancels
     # 0.1 m and 0.02 m over 200 m2
-    assert found.parts["level"] == pytest.approx(20.0, rel=1e-6)
+    assert found.parts["block"] == pytest.approx(20.0, rel=1e-6)
     assert found.parts["base"] == pytest.approx(4.0, rel=1e-6)
 
 
@@ -109,7 +111,7 @@ def test_between_two_surfaces() -> None:
     found = volume(after, area, lambda one: OtherSurface(field=before))
     assert (found.above, found.below) == (pytest.approx(100.0), pytest.approx(50.0))
     # each surface has a level of its own
-    assert found.parts["level"] == pytest.approx(0.4 * 200, rel=1e-6)
+    assert found.parts["block"] == pytest.approx(0.4 * 200, rel=1e-6)
     assert found.parts["base"] > 0.3 * 200
 
 
@@ -262,16 +264,14 @@ def test_errors_of_volumes_agree_with_their_sigmas(noise: float, relief: float) 
         surface = points_over(lambda xy, g=ground: g(xy) + cone(xy), seed, spacing=1.5, noise=noise)
         found = volume(surface, area, lambda one: RimPlane.of(one, area))
         ratios.append((found.net - math.pi * 100 * 5 / 3) / found.sigma_net)
-    print("VOL", noise, relief, np.sqrt(np.mean(np.square(ratios))))
     assert LOW < np.sqrt(np.mean(np.square(ratios))) < HIGH
 
 
 def test_what_points_share_is_told_from_how_they_scatter() -> None:
     surface = points_over(waves(0, 0.3), 0, spacing=1.5, noise=0.05)
     # m; stated 0.304, of which the neighbours scatter 0.05
-    assert surface.shared == pytest.approx(0.3, abs=0.01)
+    assert surface.common.sigma == pytest.approx(0.3, abs=0.01)
     assert float(surface.sigma.mean()) == pytest.approx(0.05, rel=0.15)
-    assert surface.common == pytest.approx(surface.shared)
     assert surface.spacing == pytest.approx(1.5, rel=0.2)
 
 
@@ -321,7 +321,7 @@ def test_points_know_no_height_in_a_gap_nor_beyond_their_rim() -> None:
     assert surface.z_at([[20.0, 20.0]]) == pytest.approx([2.0], abs=1e-6)
     frame = MapFrame(ORIGIN, utm_crs(ORIGIN.lat, ORIGIN.lon))
     place = frame.map_from_enu(np.array([[20.0, 20.0, 2.0]]))
-    assert surface.height_on_map(frame, place[:, :2]) == pytest.approx([252.0], abs=1e-3)
+    assert surface.on_map(frame, place[:, :2]).height == pytest.approx([252.0], abs=1e-3)
 
 
 def test_too_few_points_are_refused() -> None:

@@ -126,6 +126,17 @@ def test_dem_is_the_surface_of_a_project_with_one(tagged: Site) -> None:
         ours = ds.read(1, masked=True)
         own = dem.read(1, masked=True)
         assert own.min() - 0.5 < ours.min() < ours.max() < own.max() + 0.5
+        sigma = ds.read(2, masked=True)
+        # nobody matched: the cells are the points
+        read = laspy.read(tagged.products / "surface.las")
+        assert read.header.point_count == found["cells"] == ours.count()
+        values = np.array(list(ds.sample(read.xyz[:, :2])))
+    # m; LAS in steps of 1 mm
+    assert read.z == pytest.approx(values[:, 0], abs=6e-4)
+    assert read.sigma_u == pytest.approx(values[:, 1], abs=1e-6)
+    assert read.sigma_local == pytest.approx(values[:, 2], abs=1e-6)
+    assert float(sigma.max()) > float(read.sigma_local.max())
+    assert "ftUS" in read.header.parse_crs().name
 
 
 def test_adjusted_points_lie_on_the_true_ground(adjusted: Site) -> None:
@@ -161,6 +172,12 @@ def test_profile_and_volume_of_the_points(adjusted: Site) -> None:
         rows = list(csv.DictReader(stream))
     assert len(rows) == profile["stations"]
     assert (adjusted.products / "profile.png").read_bytes()[:4] == b"\x89PNG"
+    beyond = ["--corner", f"{x},{y}", "--corner", f"{x + 4000},{y}"]
+    far = summary("profile", "--project", adjusted.folder, "--of", "points", *beyond)
+    assert "stations have no height" in far["doubts"][0]
+    # a shift of all heights is in no rise
+    rises = [float(row["sigma_rise_m"]) for row in rows if row["height_m"]]
+    assert rises[0] == 0.0 < min(rises[1:])
     volume = summary("volume", "--project", adjusted.folder, *square(x, y, 25))["volumes"][0]
     assert volume["area_m2"] == pytest.approx((50 * 1200 / 3937) ** 2, rel=1e-3)
     # bare ground: nothing stands there but what the sigma says
@@ -187,11 +204,14 @@ def test_a_surface_is_its_own_height_above_itself(adjusted: Site) -> None:
         ("volume", ("--corner", "1,1", "--corner", "2,2"), "3 or more"),
         ("volume", ("--area", "nix.gpkg"), "no such file"),
         ("surface", ("--of", "points"), "were not adjusted"),
+        ("surface", ("--cell", "5km"), "longer than the site"),
+        ("profile", ("--corner", "1,1", "--corner", "2,2", "--target", "p.png"), ".csv or .json"),
         ("error-budget", ("--assets",), "no asset"),
         ("error-budget", ("--photos", "nix.jpg"), "nix.jpg"),
     ],
-    ids=["no line", "two corners", "no file", "no points", "no assets", "no photo"],
-)
+    ids=["no line", "two corners", "no file", "no points", "long cells", "table as a picture",
+         "no assets", "no photo"],
+)  # fmt: skip
 def test_slip_is_one_line(tool: str, words: tuple[str, ...], line: str, tagged: Site) -> None:
     done: Done = georef(tool, "--project", tagged.folder, *words)
     assert done.code == 2, done.text

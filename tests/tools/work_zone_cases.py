@@ -79,6 +79,9 @@ class TrueCamera:
         c = self.c
         x, y = x / z, y / z
         r2 = x * x + y * y
+        # far outside of the lens's field the polynomial folds back into the picture
+        if r2 > 1.0:
+            return None
         radial = 1 + c["k1"] * r2 + c["k2"] * r2**2 + c["k3"] * r2**3
         xd = x * radial + 2 * c["p1"] * x * y + c["p2"] * (r2 + 2 * x * x)
         yd = y * radial + c["p1"] * (r2 + 2 * y * y) + 2 * c["p2"] * x * y
