@@ -11,6 +11,7 @@ from processing_algorithms.measure.control import ControlPoints
 from processing_algorithms.measure.error_budget import ErrorBudget
 from processing_algorithms.measure.intersect import Intersect
 from processing_algorithms.measure.locate import Locate
+from processing_algorithms.measure.match_clicks import MatchClicks
 from processing_algorithms.measure.measure_lines import MeasureLines
 from processing_algorithms.measure.measure_photo import MeasurePhoto
 from processing_algorithms.measure.plan_flight import PlanFlight
@@ -68,6 +69,7 @@ ALGORITHMS = (
     MeasurePhoto,
     Locate,
     Intersect,
+    MatchClicks,
     MeasureLines,
     WhoSees,
     Assets,

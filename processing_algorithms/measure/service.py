@@ -9,9 +9,10 @@ from processing_algorithms.measure.service_assets import AssetCalls
 from processing_algorithms.measure.service_base import PhotoRequest
 from processing_algorithms.measure.service_control import ControlCalls
 from processing_algorithms.measure.service_figures import FigureCalls, FigureRequest
+from processing_algorithms.measure.service_matching import MatchCalls
 
 
-class MeasureService(FigureCalls, AssetCalls, ControlCalls):
+class MeasureService(FigureCalls, MatchCalls, AssetCalls, ControlCalls):
     """Points, lengths, assets, and marks of control points."""
 
     def revisions(self) -> dict[str, str]:
