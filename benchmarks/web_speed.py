@@ -4,7 +4,9 @@
     python benchmarks/web_speed.py --make FOLDER --picture PICTURE [--photos 167]
 
 The second form writes a simulated flight (`mosaic_scale.py`) and runs it to the mosaic, adjusted,
-which takes some minutes; then call the first on it. Times are those of whole requests over
+which takes some minutes, most of it for matching; then call the first on it. PICTURE is enlarged to
+the flight's ground, with grain for the matching: a ground that is mirrored again and again looks
+alike after half a turn, and its adjustment is not believed. Times are those of whole requests over
 loopback, one after another; "in the browser" is from the mouse button to the drawn result.
 """
 
@@ -28,6 +30,10 @@ import numpy as np
 
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
          "--disable-background-networking", "--disable-component-update"]  # fmt: skip
+# px of ground that one more photo adds, at its overlaps
+GROUND_PX = 1.15e6
+# size in px, sigma in shades
+GRAIN = ((1, 6.0), (3, 10.0), (9, 10.0))
 STEPS = "read_photos,orient_direct,match,adjust,footprints,mosaic"
 
 
@@ -36,9 +42,29 @@ def make(folder: Path, picture: Path, photos: int) -> None:
     from mosaic_scale import write_photos
 
     folder.mkdir(parents=True)
-    write_photos(folder, picture, photos)
+    ground = folder / "ground.jpg"
+    write_ground(ground, picture, photos)
+    write_photos(folder, ground, photos)
     georef = [sys.executable, "-m", "georef_gis.app", "run", str(folder), "--only", STEPS]
     subprocess.run(georef, check=True)
+
+
+def write_ground(path: Path, picture: Path, photos: int) -> None:
+    """A picture as large as the ground of a flight, rough at several sizes."""
+    import cv2
+
+    image = cv2.imread(str(picture))
+    if image is None:
+        raise SystemExit(f"{picture}: cannot be read as a picture")
+    factor = max(1.0, (GROUND_PX * photos / (image.shape[0] * image.shape[1])) ** 0.5)
+    image = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    rng, (rows, cols) = np.random.default_rng(0), image.shape[:2]
+    for size, sigma in GRAIN:
+        coarse = rng.normal(0.0, sigma, (rows // size + 1, cols // size + 1)).astype(np.float32)
+        grain = cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_LINEAR)
+        for band in range(3):
+            image[..., band] = np.clip(image[..., band] + grain, 0.0, 255.0).astype(np.uint8)
+    cv2.imwrite(str(path), image, [cv2.IMWRITE_JPEG_QUALITY, 92])
 
 
 @contextlib.contextmanager

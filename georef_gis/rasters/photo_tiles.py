@@ -81,7 +81,8 @@ class PhotoTiles:
         if col < 0 or row < 0 or left >= cols or top >= rows:
             return EMPTY_TILE
         part = np.ascontiguousarray(shades[top : top + TILE, left : left + TILE])
-        return encode(part, None, (TILE, TILE))
+        # Pixels are clicked: at their own size they are what the camera stored.
+        return encode(part, None, (TILE, TILE), exact=level == 0)
 
     def level(self, path: Path, level: int) -> _Level:
         """A level of a photo, decoded by the first thread that asks."""

@@ -17,14 +17,16 @@ once. What the user can cure is raised as `GeorefError`.
 from __future__ import annotations
 
 import contextlib
+import logging
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 
-from georef_gis.errors import GeorefError, PluginError
+from georef_gis.errors import GeorefError, InputError, PluginError
 
 if TYPE_CHECKING:
     from georef_gis.project import Project
@@ -32,7 +34,10 @@ if TYPE_CHECKING:
 SERVICE_GROUP = "georef_gis.services"
 _MARK = "_georef_endpoint"
 
+logger = logging.getLogger(__name__)
+
 F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
 
 
 class Request(BaseModel):
@@ -126,6 +131,55 @@ class Service:
 
     def close(self) -> None:
         """Give up what is open."""
+
+
+class Renewed(Generic[T]):
+    """Something read from the project, anew whenever the project has another state.
+
+    A run replaces what is read tool by tool, and may be stopped between two of them: poses and
+    cameras then do not go together. What was read before serves until the next state.
+
+    Parameters
+    ----------
+    read
+        Reads it; asked by one thread at a time.
+    """
+
+    def __init__(self, read: Callable[[], T]) -> None:
+        self._read = read
+        self._lock = threading.Lock()
+        self._held: tuple[str, T] | None = None
+
+    def get(self, state: str) -> T:
+        """What was read of a state, or of the last one that could be read.
+
+        Raises
+        ------
+        GeorefError
+            If it could never be read.
+        """
+        with self._lock:
+            if self._held is None:
+                self._held = state, self._first()
+            elif self._held[0] != state:
+                self._held = state, self._next(self._held[1])
+            return self._held[1]
+
+    def _first(self) -> T:
+        try:
+            return self._read()
+        except LookupError as error:
+            raise InputError(
+                f"the project's parts do not go together ({error} is missing), as after a run that "
+                "was stopped; run `georef run` to its end"
+            ) from error
+
+    def _next(self, before: T) -> T:
+        try:
+            return self._read()
+        except (GeorefError, LookupError) as error:
+            logger.info("what was read before serves on: %s", error)
+            return before
 
 
 @dataclass(frozen=True, slots=True)

@@ -183,23 +183,21 @@ class AssetCalls(SessionService):
     # -- in a photo ------------------------------------------------------------------------------
 
     def assets_in(self, photo_id: str) -> list[dict[str, Any]]:
-        """Where a photo shows the assets, all of whose vertices fall into it or near it."""
+        """Where a photo shows the assets: points in it, lines and areas in it or near it."""
         import numpy as np
 
         session = self.session()
         scene, number = session.scene, self.session().scene.number(photo_id)
         camera = scene.photos.photos[number].camera
-        margin = 0.5 * max(camera.width, camera.height)
+        size = np.array([camera.width, camera.height])
         out = []
         for asset in self.store().assets():
             if not asset.vertices:
                 continue
             p_enu = self._places(asset)
             uv = scene.photos.project(np.full(len(p_enu), number), p_enu)
-            near = np.isfinite(uv).all() and (uv > -margin).all() and (
-                uv < [camera.width + margin, camera.height + margin]
-            ).all()  # fmt: skip
-            if near:
+            beyond = (0.0 if asset.shape == "point" else 0.5 * size.max()) - 0.5
+            if np.isfinite(uv).all() and (uv > -1.0 - beyond).all() and (uv < size + beyond).all():
                 told = {"id": asset.id, "shape": asset.shape, "uv": uv.tolist()}
                 out.append(told | self._ellipse_in(asset, number))
         return out

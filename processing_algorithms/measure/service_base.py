@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from georef_gis.toolbox.services import Request, Service
+from georef_gis.toolbox.services import Renewed, Request, Service
 from processing_algorithms.state import runs_done
 
 if TYPE_CHECKING:
@@ -65,8 +64,7 @@ class SessionService(Service):
 
     def __init__(self, project: Project) -> None:
         super().__init__(project)
-        self._opening = threading.Lock()
-        self._session: tuple[str, MeasureSession] | None = None
+        self._session: Renewed[MeasureSession] = Renewed(self._open)
 
     def session(self) -> MeasureSession:
         """The project opened for measuring, with the poses of the last run.
@@ -76,13 +74,12 @@ class SessionService(Service):
         InputError
             If no photo has a pose yet.
         """
+        return self._session.get(runs_done(self.project))
+
+    def _open(self) -> MeasureSession:
         from processing_algorithms.measure.session import MeasureSession
 
-        runs = runs_done(self.project)
-        with self._opening:
-            if self._session is None or self._session[0] != runs:
-                self._session = runs, MeasureSession.open(self.project)
-            return self._session[1]
+        return MeasureSession.open(self.project)
 
 
 def marks_of(vertices: Sequence[VertexRequest]) -> list[Mark]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from georef_gis.errors import GeorefError, InputError
-from georef_gis.toolbox.services import Picture, Request, Service, call, picture
+from georef_gis.toolbox.services import Picture, Renewed, Request, Service, call, picture
 from processing_algorithms.state import file_state, runs_done
 from processing_algorithms.view.layers import best_poses, layer
 
@@ -71,7 +71,7 @@ class ViewService(Service):
         self._lock = threading.Lock()
         self._maps: dict[str, MapTiles] = {}
         self._photos: PhotoTiles | None = None
-        self._site: tuple[str, Site] | None = None
+        self._site: Renewed[Site] = Renewed(self._load)
         self._files: tuple[str, dict[str, Path]] = ("", {})
 
     def prepare(self) -> None:
@@ -229,13 +229,12 @@ class ViewService(Service):
         return None
 
     def _oriented(self) -> Site:
+        return self._site.get(runs_done(self.project))
+
+    def _load(self) -> Site:
         from processing_algorithms.site import load_site
 
-        revision = runs_done(self.project)
-        with self._lock:
-            if self._site is None or self._site[0] != revision:
-                self._site = revision, load_site(self.project)
-            return self._site[1]
+        return load_site(self.project)
 
     # -- pictures --------------------------------------------------------------------------------
 

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
+from georef_gis.errors import GeorefError, InputError
 from georef_gis.toolbox import services
-from georef_gis.toolbox.services import Picture, Request, Service, call, load_services, picture
+from georef_gis.toolbox.services import (
+    Picture,
+    Renewed,
+    Request,
+    Service,
+    call,
+    load_services,
+    picture,
+)
 
 
 class Number(Request):
@@ -86,3 +96,43 @@ def test_the_own_services_are_installed() -> None:
 
     names = {entry.name for entry in entry_points(group=services.SERVICE_GROUP)}
     assert {"measure", "view"} <= names
+
+
+# -- what is read anew when the project changes ---------------------------------------------------
+
+
+def test_what_was_read_is_read_again_in_another_state_only() -> None:
+    numbers = itertools.count(1)
+    kept = Renewed(lambda: next(numbers))
+    assert [kept.get(state) for state in ("a", "a", "b", "b", "a")] == [1, 1, 2, 2, 3]
+
+
+@pytest.mark.parametrize("error", [KeyError("camera"), GeorefError("half a run")])
+def test_what_was_read_before_a_run_serves_while_its_parts_do_not_fit(error: Exception) -> None:
+    answers: list[Any] = ["before", error, error, "after"]
+
+    def read() -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return str(answer)
+
+    kept = Renewed(read)
+    assert [kept.get(str(state)) for state in (0, 1, 1, 2, 3)] == ["before"] * 4 + ["after"]
+
+
+def test_what_could_never_be_read_is_told_with_a_cure_and_tried_again() -> None:
+    answers: list[Any] = [KeyError("camera X"), GeorefError("no photo has a pose"), "there"]
+
+    def read() -> str:
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return str(answer)
+
+    kept = Renewed(read)
+    with pytest.raises(InputError, match=r"'camera X' is missing.*run `georef run` to its end"):
+        kept.get("1")
+    with pytest.raises(GeorefError, match="no photo has a pose"):
+        kept.get("1")
+    assert kept.get("1") == "there"

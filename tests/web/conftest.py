@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from web_cases import Served, browser, moved_site, opened, served, shared_site
+from web_cases import Served, Tab, browser, moved_site, opened, served, shared_site
 
 
 @pytest.fixture(scope="session")
@@ -61,3 +61,27 @@ def server(site: Path) -> Iterator[Served]:
     """The page of a project that may be changed, as `georef serve` serves it."""
     with served(site) as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def shown(
+    chrome: Any, finished: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Path, Served, Any]]:
+    """A served project and a browser's context; tests leave no assets behind that others count."""
+    site = moved_site(finished, tmp_path_factory.mktemp("shown") / "site")
+    with served(site) as running:
+        context = chrome.new_context(viewport={"width": 1280, "height": 720})
+        yield site, running, context
+        context.close()
+
+
+@pytest.fixture
+def tab(shown: tuple[Path, Served, Any]) -> Iterator[Tab]:
+    _, running, context = shown
+    made = Tab.open(context, running.address)
+    yield made
+    complaints = made.complaints
+    made.page.close()
+    # nothing was refused by the page's own policy, and no script failed
+    assert complaints == []
+    assert made.asked == {f"127.0.0.1:{running.port}"}

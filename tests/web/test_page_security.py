@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import socket
@@ -11,8 +12,9 @@ from typing import Any
 
 import pytest
 
+from georef_gis.app.web.bodies import MOST_BODY
 from georef_gis.app.web.files import page_files
-from georef_gis.app.web.guard import HEADERS, MOST_BODY
+from georef_gis.app.web.guard import HEADERS
 
 pytestmark = pytest.mark.slow
 ADDRESSES = (
@@ -276,6 +278,46 @@ def test_a_giant_request_is_refused_though_it_states_no_length(client: Any) -> N
     assert "larger than 1 MB" in refused(answer, 413)
 
 
+@pytest.mark.parametrize(
+    ("address", "head", "status"),
+    [("/api/measure/figure", "Content-Type: application/json", 413),
+     ("/api/measure/figure", "Content-Type: text/plain", 413),
+     ("/api/measure/nothing", "Content-Type: application/json", 413),
+     ("/api/measure/figure", "Origin: http://evil.example", 403)],
+)  # fmt: skip
+def test_one_who_still_sends_gets_the_answer(
+    page_of_site: tuple[Any, Any], client: Any, address: str, head: str, status: int
+) -> None:
+    # more than the buffers of two sockets hold: the answer is there long before the last byte
+    giant = b" " * 12_000_000
+    answer = raw(page_of_site[1].port, post_head(client, address, len(giant), head) + giant)
+    assert answer.startswith(b"HTTP/1.1 %d " % status), answer[:200]
+    assert answer.endswith(b"}\n")
+
+
+def test_one_who_never_ends_is_cut_off(page_of_site: tuple[Any, Any], client: Any) -> None:
+    port, sent = page_of_site[1].port, 0
+    with (
+        socket.create_connection(("127.0.0.1", port), timeout=20.0) as connection,
+        contextlib.suppress(ConnectionError),
+    ):
+        connection.sendall(post_head(client, "/api/measure/figure", 10**12, "X: 1"))
+        while sent < 100_000_000:
+            connection.sendall(b" " * 1_000_000)
+            sent += 1_000_000
+    # 16 MB are heard; the buffers of two sockets hold the rest
+    assert sent < 50_000_000
+
+
+def post_head(client: Any, address: str, length: int, line: str) -> bytes:
+    """Head of a POST with a body of so many bytes, and one more line."""
+    origin = "" if line.startswith("Origin") else f"Origin: {client.headers['origin']}\r\n"
+    return (
+        f"POST {address} HTTP/1.1\r\nHost: {client.base_url.netloc.decode()}\r\n{origin}"
+        f"Cookie: {cookie(client)}\r\nContent-Length: {length}\r\n{line}\r\n\r\n"
+    ).encode()
+
+
 JSON = {"content-type": "application/json"}
 CLICK = {"photo": "IMG_0004", "u": 10.0, "v": 10.0}
 
@@ -367,3 +409,11 @@ def test_the_page_is_on_the_loopback_only() -> None:
 
     with _listen(0, True) as listening:
         assert listening.getsockname()[0] == LOOPBACK == "127.0.0.1"
+
+
+def test_the_second_piece_of_an_answer_does_not_wait_for_a_receipt() -> None:
+    """Asyncio turns Nagle's algorithm off only where it sees that a socket speaks TCP."""
+    from georef_gis.app.web.server import _listen
+
+    with _listen(0, True) as listening:
+        assert listening.proto == socket.IPPROTO_TCP

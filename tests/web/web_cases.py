@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -103,6 +103,15 @@ def true_pixels(name: str) -> dict[str, tuple[float, float]]:
         }
 
 
+def true_control(name: str) -> dict[str, float]:
+    """Easting and northing of a control point, US survey feet."""
+    text = (SAMPLE / "truth" / "control.csv").read_text().splitlines()
+    rows = [line.split(",") for line in text if line and not line.startswith("#")]
+    columns = {column: k for k, column in enumerate(rows[0])}
+    row = next(row for row in rows[1:] if row[0] == name)
+    return {"x": float(row[columns["easting"]]), "y": float(row[columns["northing"]])}
+
+
 # -- the server ----------------------------------------------------------------------------------
 
 
@@ -123,8 +132,8 @@ class Served:
 
 
 @contextlib.contextmanager
-def served(folder: Path) -> Iterator[Served]:
-    words = [sys.executable, "-m", "georef_gis.app", "serve", str(folder), "--no-browser"]
+def served(folder: Path, *options: str) -> Iterator[Served]:
+    words = [sys.executable, "-m", "georef_gis.app", "serve", str(folder), "--no-browser", *options]
     # Buffers would keep the address from a pipe.
     process = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -201,6 +210,17 @@ def browser() -> Iterator[Any]:
             yield made
         finally:
             made.close()
+
+
+def waited(condition: Callable[[], Any], seconds: float = 15.0) -> Any:
+    """What a condition gives once it holds."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.05)
+    raise AssertionError("it did not come to be")
 
 
 @dataclass

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from georef_gis.app.feedback import plain
-from georef_gis.app.web.guard import MOST_BODY, TooLargeError
+from georef_gis.app.web.bodies import MOST_BODY, TooLargeError
 from georef_gis.app.web.jobs import BusyError
 from georef_gis.errors import GeorefError
 from georef_gis.toolbox.services import ConflictError

@@ -18,9 +18,10 @@ from starlette.responses import Response, StreamingResponse
 
 from georef_gis import __version__
 from georef_gis.app.web.answers import answer, on_error
+from georef_gis.app.web.bodies import TooLargeError
 from georef_gis.app.web.files import page_files
 from georef_gis.app.web.forms import check_order, tools_for_page
-from georef_gis.app.web.guard import Access, Guard, TooLargeError
+from georef_gis.app.web.guard import Access, Guard
 from georef_gis.app.web.jobs import Job, Jobs
 from georef_gis.errors import GeorefError, InputError
 from georef_gis.project import Project

@@ -10,19 +10,14 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Any
 from urllib.parse import parse_qs
 
-Message = MutableMapping[str, Any]
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
+from georef_gis.app.web.bodies import MOST_BODY, Body, Message, Receive, Scope, Send
+
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-# bytes; a form of a tool or a polygon of 10 000 vertices takes far less
-MOST_BODY = 1_000_000
 TOKEN_BYTES = 32
 _METHODS = ("GET", "POST")
 _PAGE_CSP = (
@@ -86,18 +81,19 @@ class Guard:
             # A socket that is not accepted is closed.
             await send({"type": "websocket.close", "code": 1008})
             return
+        body = Body(scope, receive, send)
         try:
             headers = _headers(scope)
             self._check_place(scope, headers)
             if self._is_entry(scope):
-                await self._enter(scope, send)
+                await self._enter(body.send)
                 return
             self._check_token(headers)
             _check_length(headers)
         except _Refused as refused:
-            await _refuse(send, refused.status, str(refused))
+            await _refuse(body.send, refused.status, str(refused))
             return
-        await self._app(scope, _limited(receive), _with_headers(send))
+        await self._app(scope, body.receive, _with_headers(body.send))
 
     def _check_place(self, scope: Scope, headers: dict[str, str]) -> None:
         method, host = scope["method"], headers.get("host", "")
@@ -130,7 +126,7 @@ class Guard:
             raise _Refused(403, "the token is not right; open the address that was printed")
         return True
 
-    async def _enter(self, scope: Scope, send: Send) -> None:
+    async def _enter(self, send: Send) -> None:
         """Turn the token of the address into a cookie, and take it out of the address."""
         cookie = f"{self._access.cookie}={self._access.token}; Path=/; HttpOnly; SameSite=Strict"
         headers = {**HEADERS, "location": "/", "set-cookie": cookie, "content-length": "0"}
@@ -169,24 +165,6 @@ def _check_length(headers: dict[str, str]) -> None:
         raise _Refused(400, "content-length is no number")
     if int(length[:20]) > MOST_BODY:
         raise _Refused(413, f"the request is larger than {MOST_BODY / 1e6:g} MB")
-
-
-class TooLargeError(Exception):
-    """A body grew beyond what is taken, though it did not say so before."""
-
-
-def _limited(receive: Receive) -> Receive:
-    taken = 0
-
-    async def take() -> Message:
-        nonlocal taken
-        message = await receive()
-        taken += len(message.get("body", b""))
-        if taken > MOST_BODY:
-            raise TooLargeError
-        return message
-
-    return take
 
 
 def _with_headers(send: Send) -> Send:

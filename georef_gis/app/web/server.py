@@ -75,7 +75,9 @@ def _config(app: object) -> uvicorn.Config:
 
 def _listen(port: int, fixed: bool) -> socket.socket:
     for wanted in (port,) if fixed else (port, 0):
-        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        # asyncio sends at once only where the protocol is named; else the second piece of every
+        # answer waits 40 ms for the first one's receipt.
+        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         if os.name == "posix":
             # Elsewhere it would let two programs have one port.
             found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

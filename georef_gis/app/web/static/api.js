@@ -9,6 +9,12 @@ export class Refusal extends Error {
   }
 }
 
+const STOPPED =
+  "the page's server does not answer: start `georef serve` again; nothing here is lost meanwhile";
+const ANEW =
+  "`georef serve` was started anew: open the address that it printed in another tab, then go on " +
+  "here; nothing is lost";
+
 async function answered(response) {
   let content;
   try {
@@ -17,6 +23,7 @@ async function answered(response) {
     if (error.name === "AbortError") throw error;
     throw new Refusal(`the page's server gave no answer (${response.status})`, response.status);
   }
+  if (response.status === 403) throw new Refusal(ANEW, 403);
   if (!response.ok) throw new Refusal(content.error, response.status, content.current);
   return content;
 }
@@ -26,7 +33,7 @@ async function reached(address, options) {
     return await fetch(address, options);
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new Refusal("the page's server does not answer; is `georef serve` still running?", 0);
+    throw new Refusal(STOPPED, 0);
   }
 }
 

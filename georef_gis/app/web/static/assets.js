@@ -3,8 +3,8 @@
 import { ask } from "./api.js";
 import { assetForm, classOf } from "./assetform.js";
 import { button, byId, el, facts, fill, say } from "./dom.js";
-import { edit } from "./draft.js";
-import { coordinate, measured, NOTHING, plural, short } from "./format.js";
+import { edit, sentVertices } from "./draft.js";
+import { axes, coordinate, measured, NOTHING, plural, short } from "./format.js";
 import { goTo, inView, setVisible, show } from "./mapview.js";
 import { on, select, state, tell, tellOthers } from "./store.js";
 import { groupColour } from "./styles.js";
@@ -85,7 +85,7 @@ async function edited(name, content, words) {
 export async function addAsset(content, vertices) {
   const done = await edited(
     "add_asset",
-    { ...content, vertices },
+    { ...content, vertices: sentVertices(vertices) },
     `${titleOf(content.kind)} stored`,
   );
   return done.asset.id;
@@ -93,7 +93,8 @@ export async function addAsset(content, vertices) {
 
 export async function measureAnew(asset, vertices) {
   const { id, revision: from } = asset;
-  await edited("change_asset", { id, revision: from, vertices }, `${asset.label} measured anew`);
+  const content = { id, revision: from, vertices: sentVertices(vertices) };
+  await edited("change_asset", content, `${asset.label} measured anew`);
 }
 
 async function turn(name, words) {
@@ -200,8 +201,12 @@ function details(asset) {
   const rows = [
     ["Easting", `${coordinate(x, 3)} ${state.facts.crs.unit}`],
     ["Northing", `${coordinate(y, 3)} ${state.facts.crs.unit}`],
-    ["Height (ellipsoidal)", measured(z, quality?.sigma_u)],
+    ["Ellips. height", measured(z, quality?.sigma_u)],
     asset.shape !== "point" && ["Vertices", asset.vertices.length],
+    asset.shape !== "point" && [
+      asset.shape === "line" ? "Length on map" : "Area on map",
+      sizeOf(asset),
+    ],
     quality?.sigma_e != null && [
       "σ east, north",
       `${short(quality.sigma_e)}, ${short(quality.sigma_n)}`,
@@ -209,8 +214,7 @@ function details(asset) {
     quality?.sigma_u != null && ["σ up", short(quality.sigma_u)],
     quality?.semi_major != null && [
       `${Math.round(100 * (quality.conf ?? 0))} % ellipse`,
-      `${short(quality.semi_major)} × ${short(quality.semi_minor)} ` +
-        `at ${Math.round(quality.azimuth)}°`,
+      axes(quality.semi_major, quality.semi_minor, quality.azimuth),
     ],
     ["Measured by", methodWords(quality)],
   ];
@@ -220,10 +224,9 @@ function details(asset) {
     { class: "part" },
     el(
       "div",
-      { class: "row" },
+      { class: "row title" },
       swatch(asset.kind),
       el("h2", {}, asset.label),
-      el("span", { class: "spacer" }),
       button("Close", () => select(null), { class: "small" }),
     ),
     asset.problems.map((line) => el("p", { class: "doubt" }, line)),

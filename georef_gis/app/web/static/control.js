@@ -3,7 +3,7 @@
 import { ask, latest } from "./api.js";
 import { button, byId, el, fill, say } from "./dom.js";
 import { fixed, plural, short } from "./format.js";
-import { goTo, inView, loadLayers } from "./mapview.js";
+import { goTo, inView } from "./mapview.js";
 import { on, select, setTool, state, tell, tellOthers } from "./store.js";
 
 const ROLES = { control: "control", check: "check", off: "off" };
@@ -44,7 +44,12 @@ async function loadSights() {
 
 export function drawPanel() {
   const panel = byId("panel-control");
-  if (panel.hidden || !found) return;
+  if (panel.hidden) return;
+  if (!found) {
+    const why = state.facts?.why_not ?? "Loading …";
+    fill(panel, el("p", { class: "hint" }, why));
+    return;
+  }
   const point = chosen();
   fill(
     panel,
@@ -111,9 +116,8 @@ function details(point) {
     { class: "part" },
     el(
       "div",
-      { class: "row" },
+      { class: "row title" },
       el("h2", {}, point.name),
-      el("span", { class: "spacer" }),
       button("Show on map", () => goTo(point.x, point.y), { class: "small" }),
       button("Close", () => select(null), { class: "small" }),
     ),
@@ -207,7 +211,6 @@ async function changed(name, content, words) {
     say(error.message, "error");
   }
   await loadControl();
-  loadLayers(["control"]);
 }
 
 const unmark = (point, sight) =>

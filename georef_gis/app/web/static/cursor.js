@@ -65,6 +65,7 @@ on("photo-place", async (place) => {
   }
 });
 on("map-scale", () => {
+  if (!state.facts.crs) return;
   // 96 pixels to the inch, as CSS counts
   const scale = map.groundResolution() / 0.000264583;
   fill(byId("scale"), `1 : ${coordinate(Number(scale.toPrecision(2)), 0)}`);

@@ -46,18 +46,25 @@ export function el(tag, attributes = {}, ...children) {
 
 export const byId = (id) => document.getElementById(id);
 
-/** Put children in place of those that an element has; the keyboard's focus stays where it was. */
+/**
+ * Put children in place of those that an element has; the keyboard's focus stays where it was, and
+ * what the user opened or closed stays so.
+ */
 export function fill(parent, ...children) {
   const focused = parent.contains(document.activeElement) ? document.activeElement : null;
   const again = focused && focused !== parent ? sameIn(parent, focused) : null;
+  const opened = new Map(folds(parent).map((one) => [titleOf(one), one.open]));
   parent.replaceChildren(
     ...children.flat(Infinity).filter((child) => child !== null && child !== undefined),
   );
+  for (const one of folds(parent)) one.open = opened.get(titleOf(one)) ?? one.open;
   if (focused?.isConnected) focused.focus({ preventScroll: true });
   else again?.()?.focus({ preventScroll: true });
   return parent;
 }
 
+const folds = (parent) => [...parent.querySelectorAll("details")];
+const titleOf = (one) => one.querySelector("summary")?.textContent;
 const told = (one) => `${one.tagName} ${one.getAttribute("aria-label") ?? one.textContent}`;
 
 /** Finds, later, what was made anew for an element: the one that is called the same. */

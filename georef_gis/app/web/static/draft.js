@@ -7,7 +7,7 @@ import { on, setTool, state, tell } from "./store.js";
 export const draft = {
   // "point", "line" or "polygon"
   shape: "point",
-  // each {clicks: [{photo, u, v}]}
+  // each {clicks: [{photo, u, v}]}; a click that was found by matching has `sigma_px` and `matched`
   vertices: [],
   active: 0,
   // whether the next click shows the active vertex in another photo, not a new vertex
@@ -25,6 +25,16 @@ let before = [];
 
 export const point = (i) => draft.result?.points[String(i)] ?? null;
 export const refusal = (i) => draft.result?.refused[String(i)] ?? null;
+/** Clicks as the server takes them: what the page notes of them stays here. */
+export const sent = (clicks) =>
+  clicks.map(({ photo, u, v, sigma_px: sigma }) => ({
+    photo,
+    u,
+    v,
+    ...(sigma ? { sigma_px: sigma } : {}),
+  }));
+export const sentVertices = (vertices) => vertices.map(({ clicks }) => ({ clicks: sent(clicks) }));
+
 export const activeVertex = () => draft.vertices[draft.active] ?? null;
 export const isComplete = () =>
   draft.vertices.length >= { point: 1, line: 2, polygon: 3 }[draft.shape] &&
@@ -56,9 +66,9 @@ export function clear() {
 export function edit(asset) {
   clear();
   draft.shape = asset.shape;
-  for (const { photo, u, v, vertex } of asset.clicks) {
+  for (const { photo, u, v, vertex, sigma_px: sigma } of asset.clicks) {
     draft.vertices[vertex] ??= { clicks: [] };
-    draft.vertices[vertex].clicks.push({ photo, u, v });
+    draft.vertices[vertex].clicks.push({ photo, u, v, ...(sigma ? { sigma_px: sigma } : {}) });
   }
   draft.editing = asset;
   draft.same = true;
@@ -83,6 +93,13 @@ export function addClick(click, { fromMap = false } = {}) {
   } else if (isPoint || draft.same) {
     vertex.clicks = [...vertex.clicks.filter(({ photo }) => photo !== click.photo), click];
   } else addVertex(click);
+  changed();
+}
+
+/** Put clicks in place of those of a vertex. */
+export function setClicks(i, clicks) {
+  remember();
+  draft.vertices[i] = { clicks };
   changed();
 }
 
@@ -129,7 +146,7 @@ async function changed() {
   }
   tell("draft");
   try {
-    const result = await figure({ shape: draft.shape, vertices: draft.vertices });
+    const result = await figure({ shape: draft.shape, vertices: sentVertices(draft.vertices) });
     if (!result) return;
     draft.result = result;
   } catch (error) {
@@ -149,7 +166,7 @@ async function loadSights() {
     return;
   }
   try {
-    const found = await sightsOf({ clicks: vertex.clicks });
+    const found = await sightsOf({ clicks: sent(vertex.clicks) });
     if (!found) return;
     draft.sights = found.sights;
   } catch {

@@ -2,8 +2,9 @@
 
 import { latest } from "./api.js";
 import { say } from "./dom.js";
-import { activeVertex, draft, point } from "./draft.js";
+import { activeVertex, draft, point, sent } from "./draft.js";
 import * as map from "./mapview.js";
+import { getProposal, taken } from "./matching.js";
 import * as photo from "./photoview.js";
 import { on, state } from "./store.js";
 import * as styles from "./styles.js";
@@ -41,7 +42,22 @@ function drawMap() {
     const place = new ol.geom.Point([one.easting, one.northing]);
     features.push(styled(place, styles.cross(styles.COLOURS.draft, label(i))));
   });
+  const after = getProposal()?.after;
+  if (after) {
+    const ring = new ol.geom.Polygon([after.ellipse]);
+    features.push(styled(ring, styles.ellipse(styles.COLOURS.proposed)));
+  }
   map.showDraft(features);
+}
+
+let revealed = "";
+
+/** The map follows what is clicked in a photo, once for each place. */
+function follow() {
+  const one = point(draft.active);
+  const place = one ? `${one.easting} ${one.northing}` : "";
+  if (one && place !== revealed) map.reveal(one.easting, one.northing);
+  revealed = place;
 }
 
 function drawPhoto() {
@@ -58,6 +74,12 @@ function drawPhoto() {
     const text = ray && !ray.used ? "left out" : label(i);
     features.push(styled(new ol.geom.Point([click.u, -click.v]), styles.cross(colour, text)));
   });
+  for (const one of getProposal() ? taken() : []) {
+    if (one.photo !== shown) continue;
+    const text = `found, ${Math.round(100 * one.quality)} %`;
+    const place = new ol.geom.Point([one.u, -one.v]);
+    features.push(styled(place, styles.cross(styles.COLOURS.proposed, text)));
+  }
   photo.showDraft(features);
 }
 
@@ -72,7 +94,7 @@ async function drawGuides() {
   }
   const predicted = draft.sights.find((sight) => sight.photo === shown);
   try {
-    const found = await guides({ photo: shown, clicks: others });
+    const found = await guides({ photo: shown, clicks: sent(others) });
     if (!found || state.photo?.photo !== shown) return;
     photo.showGuides([...found.guides, ...(predicted ? [{ predicted }] : [])]);
   } catch (error) {
@@ -83,10 +105,15 @@ async function drawGuides() {
 
 on("draft", () => {
   drawMap();
+  follow();
   drawPhoto();
   drawGuides();
 });
 on("sights", drawGuides);
+on("match", () => {
+  drawMap();
+  drawPhoto();
+});
 on("photo", () => {
   drawPhoto();
   drawGuides();

@@ -37,6 +37,15 @@ export function short(length) {
   return `${length.toFixed(length < 10 ? 2 : 1)} m`;
 }
 
+/** "23.9 × 11.6 cm at 67°": the semi-axes of an ellipse in one unit, and where the major points. */
+export function axes(major, minor, azimuth) {
+  if (!isNumber(major) || !isNumber(minor)) return NOTHING;
+  const [size, unit] = short(major).split(" ");
+  const factor = { mm: 1000, cm: 100, m: 1 }[unit];
+  const digits = size.split(".")[1]?.length ?? 0;
+  return `${size} × ${(minor * factor).toFixed(digits)} ${unit} at ${Math.round(azimuth)}°`;
+}
+
 export function area(value, sigma) {
   return measured(value, sigma, "m²");
 }

@@ -12,6 +12,7 @@ export const SHORTCUTS = [
   ["W", "who sees: click a place to list the photos that show it, best first"],
   ["N", "new point, or new vertex"],
   ["S", "next click: the chosen vertex in another photo"],
+  ["G", "find the click in the other photos"],
   ["Backspace", "take the last click back"],
   ["Ctrl Enter", "store what was measured"],
   ["Ctrl Z, Ctrl Shift Z", "undo, redo edits of assets"],
@@ -28,7 +29,8 @@ export const SHORTCUTS = [
 const WORDS = [
   "Click a photo point on the map to open its photo. Choose Point, Line or Area, then click in a " +
     "photo or on the map. One click meets the ground; clicks of one object in several photos are " +
-    "intersected, and a guide line shows where to look.",
+    "intersected, and a guide line shows where to look. “Find it in the other photos” looks for " +
+    "the click by its picture; you accept or reject what it finds.",
   "Every place and length has a sigma (σ): two thirds of results lie within one σ of the truth. " +
     "Ellipses hold 95 %. Points of one photo share most of their errors, so lengths are better " +
     "than places, and the page says by how much.",

@@ -2,6 +2,7 @@
 
 import { byId, el, facts, fill } from "./dom.js";
 import { plural, short } from "./format.js";
+import { symbol } from "./legend.js";
 import { count, isVisible, LAYERS, setVisible } from "./mapview.js";
 import { on, state } from "./store.js";
 
@@ -24,7 +25,14 @@ function layers() {
       on: { change: () => setVisible(name, box.checked) },
     });
     const told = name === "mosaic" ? (isThere ? "" : "not made yet") : count(name);
-    return el("label", { class: "check" }, box, title, el("span", { class: "count" }, told));
+    return el(
+      "label",
+      { class: "check" },
+      box,
+      symbol(name),
+      title,
+      el("span", { class: "count" }, told),
+    );
   });
   return el("section", { class: "part" }, el("h2", {}, "Layers"), rows);
 }
@@ -63,3 +71,4 @@ function doubts() {
 
 on("layers", drawPanel);
 on("assets", drawPanel);
+on("control", drawPanel);

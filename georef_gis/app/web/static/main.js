@@ -11,6 +11,7 @@ import { fixed, short } from "./format.js";
 import { showHelp, showReport } from "./help.js";
 import * as layers from "./layerspanel.js";
 import * as map from "./mapview.js";
+import * as matching from "./matching.js";
 import * as measure from "./measurepanel.js";
 import * as photo from "./photoview.js";
 import { on, select, setTool, state, tell } from "./store.js";
@@ -66,6 +67,12 @@ function radioGroup(id, options, chosen, choose) {
     ),
   );
   mark(id, chosen);
+}
+
+/** Choose what a click does, where there is something to click. */
+function chooseTool(tool) {
+  if (tool === "look" || state.facts?.photos_in_order?.length) setTool(tool);
+  else say("no photo has a pose yet: make the products first (Tools)", "error");
 }
 
 function mark(id, value) {
@@ -126,6 +133,10 @@ function makePhotoBar() {
     order.map((id) => el("option", { value: id }, id)),
   );
   choice.value = state.photo?.photo ?? "";
+  fill(
+    byId("photo-empty"),
+    order.length ? "Click a photo point on the map, or choose a photo above." : "No photo to show.",
+  );
 }
 
 function listenToPhotoBar() {
@@ -138,7 +149,8 @@ function listenToPhotoBar() {
   byId("photo-after").addEventListener("click", () => photo.step(1));
   byId("photo-fit").addEventListener("click", photo.fitPhoto);
   byId("photo-native").addEventListener("click", () =>
-    photo.getViewer().getView().setResolution(1),
+    // A screen may have several pixels for one of CSS.
+    photo.getViewer().getView().setResolution(window.devicePixelRatio || 1),
   );
   byId("north-up").addEventListener("click", photo.toggleNorth);
 }
@@ -181,12 +193,13 @@ const KEYS = {
   "?": showHelp,
   v: () => setTool("look"),
   escape: stop,
-  p: () => setTool("point"),
-  l: () => setTool("line"),
-  a: () => setTool("area"),
-  w: () => setTool("see"),
+  p: () => chooseTool("point"),
+  l: () => chooseTool("line"),
+  a: () => chooseTool("area"),
+  w: () => chooseTool("see"),
   n: drafts.next,
   s: () => drafts.setSame(true),
+  g: () => (showTab("measure"), matching.find()),
   backspace: drafts.stepBack,
   "[": () => photo.step(-1),
   "]": () => photo.step(1),
@@ -232,8 +245,9 @@ function pressed(event) {
 let revisions = {};
 
 async function loadProject() {
+  // Of before what is read, so that nothing that changes meanwhile is missed.
+  revisions = (await get("/api/state")).revisions;
   state.facts = await ask("view", "facts");
-  revisions = state.facts.revisions;
   document.title = `${state.facts.name} – georef`;
   fill(byId("title"), state.facts.name);
   fill(byId("subtitle"), state.facts.crs?.name ?? "");
@@ -242,7 +256,8 @@ async function loadProject() {
   byId("map").classList.toggle("no-scale", !state.facts.crs);
   fill(
     none,
-    el("span", {}, state.facts.why_not ?? ""),
+    el("p", {}, "Nothing was made of this project's photos yet."),
+    el("small", {}, state.facts.why_not ?? ""),
     el("br"),
     button(
       "Make the products …",
@@ -286,24 +301,31 @@ async function loadContent() {
   tell("draft");
 }
 
+// why the last look failed; empty where it did not
+let lost = "";
+
 /** Other tabs, runs and programs change things too. */
 async function look() {
   if (document.hidden) return;
   try {
     const now = await get("/api/state");
+    if (lost) say("the server answers again", "good");
+    lost = "";
     if (now.revisions.project !== revisions.project && !now.job) await reload();
-    else {
+    else if (!state.facts.why_not) {
       if (assets.isBehind(now.revisions.assets)) await assets.loadAssets();
       if (now.revisions.control !== revisions.control) await control.loadControl();
     }
     revisions = now.revisions;
   } catch (error) {
-    say(error.message, "error");
+    // Once is enough: it would be read out again and again.
+    if (lost !== error.message) say(error.message, "error");
+    lost = error.message;
   }
 }
 
 async function start() {
-  radioGroup("tools", TOOLS, "look", setTool);
+  radioGroup("tools", TOOLS, "look", chooseTool);
   radioGroup("sides", SIDES, side, showSide);
   byId("table-button").addEventListener("click", table.toggleTable);
   byId("help-button").addEventListener("click", showHelp);

@@ -2,6 +2,7 @@
 
 import { ask, picture } from "./api.js";
 import { byId, say, throttled } from "./dom.js";
+import { nearest } from "./hits.js";
 import * as styles from "./styles.js";
 import { isSelected, on, select, state, tell } from "./store.js";
 
@@ -11,7 +12,7 @@ export const LAYERS = [
   ["control", "Control and check points"],
   ["assets", "Assets"],
   ["ellipses", "Error ellipses (95 %) of assets"],
-  ["photos", "Photo points (red rim: doubtful)"],
+  ["photos", "Photos (orange rim: doubtful)"],
   ["trajectory", "Flight track"],
   ["footprints", "Footprints"],
   ["seams", "Seams of the mosaic"],
@@ -140,7 +141,7 @@ const STYLES = {
 
 /** Read the project's own layers anew. */
 export async function loadLayers(
-  names = ["photos", "footprints", "trajectory", "control", "seams"],
+  names = ["photos", "footprints", "trajectory", "seams"],
 ) {
   await Promise.all(
     names.map(async (name) => {
@@ -215,12 +216,29 @@ export function goTo(x, y, metresPerPixel = 0.03) {
   });
 }
 
+/** Bring a place into sight, as near as the map is. */
+export function reveal(x, y) {
+  if (!inView(x, y)) map.getView().animate({ center: [x, y], duration: 200 });
+}
+
 export const inView = (x, y) => ol.extent.containsXY(map.getView().calculateExtent(), x, y);
 
 function refresh(...names) {
   for (const name of names) layers[name]?.changed();
 }
 
+/** Control points as their file has them now, which no tool need have read yet. */
+function drawControl(points) {
+  const features = points.map(({ name, role, x, y }) => ({
+    type: "Feature",
+    id: name,
+    geometry: { type: "Point", coordinates: [x, y] },
+    properties: { name, role },
+  }));
+  show("control", { type: "FeatureCollection", features });
+}
+
+on("control", drawControl);
 on("photo", () => refresh("photos", "footprints"));
 on("selected", () => refresh("assets", "control"));
 on("tool", (tool) => byId("map").classList.toggle("aims", tool !== "look"));
@@ -231,24 +249,22 @@ function clicked(event) {
     tell("map-click", { x, y });
     return;
   }
-  const hit = featureAt(event.pixel);
+  const hit = featureAt(event.coordinate);
   if (!hit) return;
   if (hit.name === "photos") tell("open-photo", { photo: hit.id });
   else select(hit.name === "assets" ? "asset" : "control", hit.id);
 }
 
-function featureAt(pixel) {
-  let found = null;
-  map.forEachFeatureAtPixel(
-    pixel,
-    (feature, layer) => {
-      const name = LAYERS.map(([one]) => one).find((one) => layers[one] === layer);
-      if (["assets", "control", "photos"].includes(name)) found = { name, id: feature.getId() };
-      return Boolean(found);
-    },
-    { hitTolerance: 6 },
+const CHOSEN = ["assets", "control", "photos"];
+
+function featureAt(coordinate) {
+  const hit = nearest(
+    map,
+    coordinate,
+    CHOSEN.map((name) => layers[name]),
   );
-  return found;
+  if (!hit) return null;
+  return { name: CHOSEN.find((name) => layers[name] === hit.layer), id: hit.feature.getId() };
 }
 
 const told = throttled((x, y) => tell("map-place", { x, y }), 120);
@@ -259,14 +275,10 @@ function moved(event) {
   tell("map-cursor", { x, y });
   told(x, y);
   const aims = state.tool !== "look" && state.tool !== "mark";
-  byId("map").classList.toggle("hits", !aims && Boolean(featureAt(event.pixel)));
+  byId("map").classList.toggle("hits", !aims && Boolean(featureAt(event.coordinate)));
 }
 
 /** What a click at the middle would do: for those who have no mouse. */
 export function clickMiddle() {
-  const coordinate = map.getView().getCenter();
-  clicked({ coordinate, pixel: map.getPixelFromCoordinate(coordinate) });
+  clicked({ coordinate: map.getView().getCenter() });
 }
-
-/** Open the photo that shows the middle of the map best: a way in without a mouse. */
-export const middle = () => map.getView().getCenter();

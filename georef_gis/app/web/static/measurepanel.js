@@ -6,6 +6,8 @@ import { button, byId, el, fill, say } from "./dom.js";
 import * as drafts from "./draft.js";
 import { draft } from "./draft.js";
 import { fixed, pixel, plural, short } from "./format.js";
+import { getProposal } from "./matching.js";
+import { matchView } from "./matchview.js";
 import { resultView } from "./measureresult.js";
 import { seenView } from "./sees.js";
 import { on, select, state, tell } from "./store.js";
@@ -47,7 +49,8 @@ export function drawPanel() {
     actions.hidden = true;
     return;
   }
-  fill(top, hint, resultView(), vertices(), nextClick(), sights());
+  // Who has clicked knows how: the room is needed for what came of it.
+  fill(top, resultView(), vertices(), nextClick(), sights());
   store(bottom, actions);
 }
 
@@ -88,7 +91,6 @@ function vertices() {
                 }),
           ),
           drafts.refusal(i) ? el("p", { class: "bad" }, drafts.refusal(i)) : null,
-          one?.doubts.map((line) => el("p", { class: "doubt" }, line)),
           el(
             "ul",
             { class: "rays" },
@@ -97,7 +99,23 @@ function vertices() {
         );
       }),
     ),
+    doubts(),
   );
+}
+
+/** Each doubt once, with the vertices that it is about. */
+function doubts() {
+  const about = new Map();
+  draft.vertices.forEach((_, i) => {
+    for (const line of drafts.point(i)?.doubts ?? []) {
+      about.set(line, [...(about.get(line) ?? []), i + 1]);
+    }
+  });
+  return [...about].map(([line, of]) => {
+    const all = of.length === draft.vertices.length;
+    const head = all ? "" : `${of.length > 1 ? "vertices" : "vertex"} ${of.join(", ")}: `;
+    return el("p", { class: "doubt" }, head + line);
+  });
 }
 
 const methodOf = (one) =>
@@ -106,6 +124,8 @@ const methodOf = (one) =>
     : one.method === "locate"
       ? "One photo and the ground"
       : `${plural(one.n_rays, "photo")}, intersected`;
+
+const matchWords = ({ quality }) => `matched ${Math.round(100 * quality)} %`;
 
 function ray(click, one, i) {
   const found = one?.rays.find(({ photo }) => photo === click.photo);
@@ -123,6 +143,9 @@ function ray(click, one, i) {
       { class: "small quiet name", title: "Open this photo there" },
     ),
     isOut ? el("span", { class: "left-out" }, "left out") : null,
+    click.matched
+      ? el("span", { class: "note", title: "Found by its picture" }, `${matchWords(click)},`)
+      : null,
     el("span", {}, off),
     button("×", () => drafts.removeClick(i, click.photo), {
       class: "small",
@@ -157,8 +180,10 @@ function nextClick() {
 /** Photos that show the active vertex, best first. */
 function sights() {
   const clicked = new Set(drafts.activeVertex()?.clicks.map(({ photo }) => photo));
+  for (const { photo } of getProposal()?.found ?? []) clicked.add(photo);
   const others = draft.sights.filter(({ photo }) => !clicked.has(photo));
-  if (!others.length) return null;
+  const found = matchView();
+  if (!others.length) return found;
   const row = (sight) =>
     button(
       sight.photo,
@@ -176,6 +201,7 @@ function sights() {
       {},
       draft.shape === "point" ? "Also seen in" : `Vertex ${draft.active + 1} is also seen in`,
     ),
+    found,
     el(
       "div",
       { class: "sights" },
@@ -192,6 +218,7 @@ function sights() {
       }),
     ),
     others.length > 8 ? el("p", { class: "note" }, `and ${others.length - 8} more`) : null,
+    el("p", { class: "note" }, "Click it there too: its place becomes better."),
   );
 }
 
@@ -276,3 +303,8 @@ on("draft", drawPanel);
 on("sights", drawPanel);
 on("tool", drawPanel);
 on("seen", drawPanel);
+on("match", () => {
+  drawPanel();
+  // What was found is looked at next, and may lie below the panel's edge.
+  document.querySelector(".proposal")?.scrollIntoView({ block: "nearest" });
+});

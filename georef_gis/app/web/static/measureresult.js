@@ -5,8 +5,8 @@ import { draft, point } from "./draft.js";
 import {
   angle,
   area,
+  axes,
   coordinate,
-  degrees,
   fixed,
   inMapUnit,
   measured,
@@ -123,13 +123,13 @@ function place(one) {
   return facts([
     ["Easting", `${coordinate(one.easting, 3)} ${unit}`],
     ["Northing", `${coordinate(one.northing, 3)} ${unit}`],
-    ["Height (ellipsoidal)", measured(one.height_ellipsoidal_m, one.sigma_u_m)],
+    ["Ellips. height", measured(one.height_ellipsoidal_m, one.sigma_u_m)],
     ["σ east, north", `${short(one.sigma_e_m)}, ${short(one.sigma_n_m)}`],
     [
       "95 % ellipse",
-      `${short(one.semi_major_m)} × ${short(one.semi_minor_m)} at ${Math.round(one.azimuth_deg)}°`,
+      axes(one.semi_major_m, one.semi_minor_m, one.azimuth_deg),
     ],
-    ["Latitude, longitude", degrees(one.lat_deg, one.lon_deg)],
+    ["Lat, lon", `${fixed(one.lat_deg, 7)}, ${fixed(one.lon_deg, 7)}`],
     one.dof > 0 && ["σ₀", `${fixed(one.sigma0, 2)} (${plural(one.dof, "degree")} of freedom)`],
   ]);
 }

@@ -4,11 +4,14 @@
 
 import { ask, latest, picture } from "./api.js";
 import { byId, fill, say, throttled } from "./dom.js";
+import { nearest } from "./hits.js";
 import * as styles from "./styles.js";
 import { isSelected, on, select, state, tell } from "./store.js";
 
 // screen pixels per photo pixel, at most
 const CLOSEST = 16;
+// photo pixels per screen pixel from which on single objects are looked at
+const NEAR = 1.5;
 
 let viewer = null;
 let northUp = false;
@@ -217,9 +220,18 @@ function assetFeatures(asset) {
         ? new ol.geom.LineString(points)
         : new ol.geom.Polygon([[...points, points[0]]]);
   const made = new ol.Feature(geometry);
-  made.setStyle(() =>
-    styles.asset(stored.colour, stored.label, asset.shape, isSelected("asset", asset.id), true),
-  );
+  made.setStyle((_, resolution) => {
+    const chosen = isSelected("asset", asset.id);
+    const isNear = resolution < NEAR;
+    return styles.asset(
+      stored.colour,
+      stored.label,
+      asset.shape,
+      chosen,
+      chosen || isNear,
+      isNear,
+    );
+  });
   made.set("asset", asset.id);
   const rings = asset.semi_major
     ? [ellipse(asset.uv[0], asset, styles.ellipse(stored.colour))]
@@ -329,18 +341,16 @@ function clicked(event) {
     tell("photo-click", { photo: state.photo.photo, u, v });
     return;
   }
-  let hit = null;
-  viewer.forEachFeatureAtPixel(
-    event.pixel,
-    (one) => {
-      if (one.get("asset")) hit = ["asset", one.get("asset")];
-      else if (one.get("control")) hit = ["control", one.get("control")];
-      return hit;
-    },
-    { hitTolerance: 6 },
-  );
-  if (hit) select(...hit);
+  const hit = nearest(viewer, event.coordinate, [layers.assets, layers.control], nameOf);
+  if (hit) select(...nameOf(hit.feature));
 }
+
+const nameOf = (one) =>
+  one.get("asset")
+    ? ["asset", one.get("asset")]
+    : one.get("control")
+      ? ["control", one.get("control")]
+      : null;
 
 const told = throttled((place) => tell("photo-place", place), 120);
 
@@ -354,6 +364,5 @@ function moved(event) {
 
 export function clickMiddle() {
   if (!viewer || !state.photo) return;
-  const coordinate = viewer.getView().getCenter();
-  clicked({ coordinate, pixel: viewer.getPixelFromCoordinate(coordinate) });
+  clicked({ coordinate: viewer.getView().getCenter() });
 }

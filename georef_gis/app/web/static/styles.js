@@ -13,6 +13,7 @@ export const COLOURS = {
   cursor: "#0b7285",
   selected: "#ffd400",
   guide: "#00b3c4",
+  proposed: "#6a3fc4",
 };
 const GROUP_COLOURS = ["#e8590c", "#1971c2", "#2b8a3e", "#9c36b5", "#c2255c", "#0b7285", "#5f3dc4"];
 const HALO = new Stroke({ color: "rgba(255,255,255,0.92)", width: 3.5 });
@@ -25,9 +26,13 @@ export function groupColour(group) {
   return GROUP_COLOURS[groups.indexOf(group) % GROUP_COLOURS.length];
 }
 
+// characters of a name beside its place; the panel and the table have all of it
+const LONGEST = 28;
+
 function label(text, colour, dy = -13) {
+  const all = String(text);
   return new Text({
-    text: String(text),
+    text: all.length > LONGEST ? `${all.slice(0, LONGEST - 1)}…` : all,
     font: "600 12px system-ui, sans-serif",
     offsetY: dy,
     fill: new Fill({ color: colour }),
@@ -88,11 +93,26 @@ export function controlPoint(name, role, isSelected) {
 
 const SHAPES = { point: 4, line: 2, polygon: 0 };
 
-/** Style of an asset: by its group's colour, with its name. */
-export function asset(colour, text, shape, isSelected, showLabel) {
+/** A frame around a point whose middle is free: in a photo the object itself must be seen. */
+function frame(colour, ring) {
+  const square = (stroke, width) =>
+    new Style({
+      image: new RegularShape({
+        points: 4,
+        radius: 13,
+        angle: Math.PI / 4,
+        stroke: new Stroke({ color: stroke, width }),
+      }),
+    });
+  return [square(ring, 5), square(colour, 2.2)];
+}
+
+/** Style of an asset: by its group's colour, with its name; `isOpen` leaves its middle free. */
+export function asset(colour, text, shape, isSelected, showLabel, isOpen = false) {
   const ring = isSelected ? COLOURS.selected : "white";
   const styles = [];
-  if (SHAPES[shape] === 4) {
+  if (SHAPES[shape] === 4 && isOpen) styles.push(...frame(colour, ring));
+  else if (SHAPES[shape] === 4) {
     styles.push(
       new Style({
         image: new RegularShape({
@@ -113,7 +133,8 @@ export function asset(colour, text, shape, isSelected, showLabel) {
       }),
     );
   }
-  if (showLabel && text) styles.push(new Style({ text: label(text, colour), zIndex: 5 }));
+  const up = isOpen ? -18 : -13;
+  if (showLabel && text) styles.push(new Style({ text: label(text, colour, up), zIndex: 5 }));
   return styles;
 }
 

@@ -9,7 +9,7 @@ import { isSelected, on, select, state } from "./store.js";
 const number = (value) => (typeof value === "number" ? value : Infinity);
 
 const COLUMNS = () => {
-  const { unit } = state.facts.crs;
+  const unit = state.facts.crs?.unit ?? "units of the map";
   return [
     { title: "Class", key: (a) => a.title, text: (a) => a.title },
     { title: "Name", key: (a) => a.name, text: (a) => a.name, long: true },
@@ -166,9 +166,14 @@ function drawRows() {
       ? `${shown.length} of ${plural(state.assets.length, "asset")}`
       : plural(shown.length, "asset"),
   );
+  const none = state.assets.length
+    ? "No asset has these words."
+    : "No assets yet: choose Point, Line or Area, click an object, and store it.";
   fill(
     parts.body,
-    shown.map((asset) => row(asset, columns)),
+    shown.length
+      ? shown.map((asset) => row(asset, columns))
+      : el("tr", { class: "none" }, el("td", { colSpan: columns.length, class: "note" }, none)),
   );
 }
 

@@ -10,6 +10,7 @@ const PIPELINE = {
   full_id: "run",
   name: "Make the products",
   group: "project",
+  needs_project: true,
   help: "All steps that are not up to date, as `georef run` does.",
   parameters: [
     {
@@ -77,10 +78,27 @@ function rows() {
     const text = `${tool.name} ${tool.full_id} ${tool.help}`.toLowerCase();
     return words.every((word) => text.includes(word));
   });
-  const groups = [...new Set(fitting.map((tool) => tool.group))];
+  const own = fitting.filter((tool) => tool.needs_project);
+  const others = fitting.filter((tool) => !tool.needs_project);
+  if (!fitting.length) return el("p", { class: "note" }, "No tool has these words.");
+  return [
+    grouped(own),
+    others.length
+      ? el(
+          "details",
+          { open: words.length > 0 || !own.length },
+          el("summary", {}, `Tools that need no project${words.length ? ", found" : ""}`),
+          grouped(others),
+        )
+      : null,
+  ];
+}
+
+function grouped(some) {
+  const groups = [...new Set(some.map((tool) => tool.group))];
   return groups.map((group) => [
     el("h3", {}, group),
-    fitting
+    some
       .filter((tool) => tool.group === group)
       .map((tool) => {
         const made = button(tool.name, () => choose(tool));
@@ -161,7 +179,7 @@ function follow(job) {
   });
   mine.source.addEventListener("error", () => {
     if (mine.state === "runs")
-      say("the run's progress cannot be seen; is `georef serve` still running?", "error");
+      say("the run's progress cannot be seen: does `georef serve` still run?", "error");
   });
   tell("job", mine);
 }
@@ -203,9 +221,8 @@ function runView() {
     { class: "part" },
     el(
       "div",
-      { class: "row" },
+      { class: "row title" },
       el("h2", {}, `${run.name}: ${WORDS[run.state]}`),
-      el("span", { class: "spacer" }),
       going
         ? button("Cancel", cancel, { class: "small" })
         : button(
@@ -245,6 +262,14 @@ function showRun() {
 
 const figure = (value) => (typeof value === "number" ? Number(value.toPrecision(6)) : value);
 
+/** Files of a tool, each once. */
+const written = ({ summary, outputs }) => [
+  ...new Set([...(summary?.products ?? []), ...Object.values(outputs ?? {})].map(String)),
+];
+
+/** A file with its folder: the project is known. */
+const shortPath = (path) => path.split(/[\\/]/).slice(-2).join("/");
+
 /** Products and figures of a tool that is done. */
 function resultLines(event) {
   const summary = event.summary ?? {};
@@ -253,8 +278,7 @@ function resultLines(event) {
     .map(([name, value]) => `${name.replaceAll("_", " ")}: ${figure(value)}`);
   return [
     el("p", {}, `${event.tool ?? run.name}: ${event.skipped ? "unchanged" : "done"}`),
-    (summary.products ?? []).map((path) => el("p", {}, `wrote ${path}`)),
-    Object.values(event.outputs ?? {}).map((path) => el("p", {}, `wrote ${path}`)),
+    written(event).map((path) => el("p", { title: path }, `wrote ${shortPath(path)}`)),
     figures.map((text) => el("p", { class: "note" }, text)),
     (summary.doubts ?? []).map((text) => el("p", { class: "warning" }, text)),
   ];
