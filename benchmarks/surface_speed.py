@@ -41,17 +41,17 @@ from adjustment_flights import many, oriented_photos
 
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, utm_crs
-from georef_gis.measure.budget import photo_budgets, point_budgets
-from georef_gis.measure.budget_parts import SourcedErrors
+from georef_gis.measure.budget.parts import SourcedErrors
+from georef_gis.measure.budget.shares import photo_budgets, point_budgets
 from georef_gis.measure.points import Mark, locate_points
-from georef_gis.measure.profile import profile_along
 from georef_gis.measure.scene import Scene
-from georef_gis.measure.surface_base import RimPlane
-from georef_gis.measure.surface_field import GroundField, HeightField
-from georef_gis.measure.surface_integral import cells_of
-from georef_gis.measure.surface_points import PointField
-from georef_gis.measure.surface_raster import HeightReference, surface_profile, surface_tiles
-from georef_gis.measure.volume import volume
+from georef_gis.measure.surface.base import RimPlane
+from georef_gis.measure.surface.field import GroundField, HeightField
+from georef_gis.measure.surface.integral import cells_of
+from georef_gis.measure.surface.points import PointField
+from georef_gis.measure.surface.profile import profile_along
+from georef_gis.measure.surface.raster import HeightReference, surface_profile, surface_tiles
+from georef_gis.measure.surface.volume import volume
 from georef_gis.model.grid import Grid
 from georef_gis.model.terrain import FlatTerrain
 from georef_gis.model.tie_points import GroundPoints

@@ -35,7 +35,7 @@ def test_commands_of_the_readme_exist() -> None:
 
 def test_commands_of_the_first_hour_exist_and_its_clicks_can_be_read(tmp_path: Path) -> None:
     from georef_gis.measure.assets.domain import load_domain
-    from processing_algorithms.measure.asset_clicks import read_clicks
+    from processing_algorithms.assets.asset_clicks import read_clicks
 
     text = (ROOT / "docs/start.md").read_text("utf-8")
     lines = [line.removeprefix("    ") for line in text.splitlines() if line.startswith("    ")]

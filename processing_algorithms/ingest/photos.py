@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Result, check_cancelled
 from georef_gis.toolbox import parameters as p
@@ -216,12 +216,25 @@ def _save(
         save_frame(database, frame)
         database.set_meta(epoch=epoch)
         database.replace_rows("photo", rows)
-        database.replace_rows("camera", [camera_row(c) for c in cameras.values()])
-        database.replace_rows(
-            "flight",
-            [{"flight_id": f, "name": f} for f in sorted({photo.flight_id for photo in photos})],
-        )
+        flights = sorted({photo.flight_id for photo in photos})
+        kept = _adjusted(database.rows("camera"), set(cameras))
+        database.replace_rows("camera", [*map(camera_row, cameras.values()), *kept])
+        kept = _adjusted(database.rows("flight"), set(flights))
+        database.replace_rows("flight", [*({"flight_id": f, "name": f} for f in flights), *kept])
         database.replace_rows("mount", [_mount_row(project)])
+
+
+def _adjusted(rows: Sequence[Mapping[str, Any]], of: Set[str]) -> list[dict[str, Any]]:
+    """Rows that an adjustment added for what is still there.
+
+    Adjusted poses stand until the next adjustment, and need them: a run that is stopped before it
+    must leave a project that can be read.
+    """
+    return [
+        {name: value for name, value in row.items() if name != "fid"}
+        for row in rows
+        if (row["extra"] or {}).get("adjusted_of") in of
+    ]
 
 
 def _mount_row(project: Project) -> dict[str, object]:

@@ -20,9 +20,9 @@ from processing_algorithms.measure.accuracy_table import assessment_of_table as 
 
 if TYPE_CHECKING:
     from georef_gis.frames import Array
-    from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets
-    from georef_gis.measure.accuracy_mosaic import MarkedPhoto, MosaicPlace, MosaicReader
-    from georef_gis.measure.accuracy_report import SeamFinding, Survey
+    from georef_gis.measure.accuracy.mosaic import MarkedPhoto, MosaicPlace, MosaicReader
+    from georef_gis.measure.accuracy.product import Assessment, CheckResidual, Targets
+    from georef_gis.measure.accuracy.report import SeamFinding, Survey
     from georef_gis.model.intersection import Intersection, JointCovariance
     from georef_gis.project import Project
     from processing_algorithms.site import Site
@@ -73,8 +73,8 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
     def run(self, context: Context, parameters: AccuracyParameters, feedback: Feedback) -> Result:
         """Measure, judge and write."""
-        from georef_gis.measure.accuracy_metadata import statement_metadata
-        from georef_gis.measure.accuracy_report import AccuracyReport
+        from georef_gis.measure.accuracy.metadata import statement_metadata
+        from georef_gis.measure.accuracy.report import AccuracyReport
         from georef_gis.rasters.aux_metadata import write_aux_metadata
         from processing_algorithms.site import load_site
 
@@ -112,7 +112,7 @@ class Accuracy(Algorithm[AccuracyParameters]):
 
 def _seams(project: Project) -> SeamFinding | None:
     """What the mosaic measured of its seams."""
-    from georef_gis.measure.accuracy_report import SeamFinding
+    from georef_gis.measure.accuracy.report import SeamFinding
 
     found = (project.database.meta("mosaic") or {}).get("seam_mismatch") or {}
     if not found.get("accepted"):
@@ -168,7 +168,7 @@ class _Points:
         """Marks in photos that have a pose, the nearest to a photo's middle first."""
         import numpy as np
 
-        from georef_gis.measure.accuracy_mosaic import MarkedPhoto
+        from georef_gis.measure.accuracy.mosaic import MarkedPhoto
 
         marks = [
             MarkedPhoto(
@@ -190,7 +190,7 @@ class _Points:
         """What is known of the survey and the site."""
         import numpy as np
 
-        from georef_gis.measure.accuracy_report import Survey
+        from georef_gis.measure.accuracy.report import Survey
 
         datums = sorted({self.rows[n]["datum"] or "unknown" for n in self.checks}) or ["unknown"]
         kinds = sorted({self.rows[n]["height_kind"] or "unknown" for n in self.checks})
@@ -230,7 +230,7 @@ def _measured(
     feedback: Feedback,
 ) -> list[Assessment]:
     """Assessments of the products and, apart, of the intersections."""
-    from georef_gis.measure.accuracy import assess
+    from georef_gis.measure.accuracy.product import assess
 
     mosaic = project.products / "mosaic.tif"
     on = {"vertical": _surface(project)}
@@ -267,7 +267,7 @@ def _surface(project: Project) -> str:
 def _mosaic_places(
     path: Path, site: Site, points: _Points, search: float | None, feedback: Feedback
 ) -> dict[str, MosaicPlace]:
-    from georef_gis.measure.accuracy_mosaic import MosaicReader
+    from georef_gis.measure.accuracy.mosaic import MosaicReader
     from georef_gis.rasters.warp import ImageCache
     from processing_algorithms.rasters import ground_of
 
@@ -288,8 +288,8 @@ def _product_residuals(
 ) -> list[CheckResidual]:
     import numpy as np
 
-    from georef_gis.measure.accuracy import CheckResidual
-    from georef_gis.measure.accuracy_surface import surface_readings
+    from georef_gis.measure.accuracy.product import CheckResidual
+    from georef_gis.measure.accuracy.surface import surface_readings
 
     enu = np.array([points.enu(site, n) for n in points.checks]).reshape(-1, 3)
     surface = surface_readings(enu, site.terrain)
@@ -332,7 +332,7 @@ def _intersection_residuals(
     import numpy as np
 
     from georef_gis.errors import GeometryError
-    from georef_gis.measure.accuracy import CheckResidual
+    from georef_gis.measure.accuracy.product import CheckResidual
     from georef_gis.model.intersection import intersect
 
     out = []

@@ -11,8 +11,8 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets
-    from georef_gis.measure.accuracy_report import AccuracyReport, Survey
+    from georef_gis.measure.accuracy.product import Assessment, CheckResidual, Targets
+    from georef_gis.measure.accuracy.report import AccuracyReport, Survey
 
 JSON, TEXT = "accuracy.json", "accuracy.txt"
 _COLUMNS = ("name", "dx", "dy", "dz")
@@ -53,8 +53,8 @@ class AccuracyTable(Algorithm[AccuracyTableParameters]):
         self, context: Context, parameters: AccuracyTableParameters, feedback: Feedback
     ) -> Result:
         """Judge and tell, and write if a folder is named."""
-        from georef_gis.measure.accuracy_report import AccuracyReport
-        from georef_gis.measure.accuracy_statement import statement_text
+        from georef_gis.measure.accuracy.report import AccuracyReport
+        from georef_gis.measure.accuracy.statement import statement_text
 
         report = AccuracyReport(
             title=parameters.table.name,
@@ -74,14 +74,14 @@ class AccuracyTable(Algorithm[AccuracyTableParameters]):
 
 def targets_of(parameters: Any) -> Targets:
     """Classes that the parameters `target_rmse_h` and `target_rmse_v` declare."""
-    from georef_gis.measure.accuracy import Targets
+    from georef_gis.measure.accuracy.product import Targets
 
     return Targets(horizontal=parameters.target_rmse_h, vertical=parameters.target_rmse_v)
 
 
 def assessment_of_table(path: Path, targets: Targets) -> Assessment:
     """Assessment of a CSV of residuals."""
-    from georef_gis.measure.accuracy import assess
+    from georef_gis.measure.accuracy.product import assess
 
     return assess(read_residuals(path), targets, kind="table", measured_on={"residuals": path.name})
 
@@ -89,7 +89,7 @@ def assessment_of_table(path: Path, targets: Targets) -> Assessment:
 def _survey_of_table(path: Path) -> Survey:
     """What `# datum: NAD83(2011)@2010.0` and the like above the columns say."""
     from georef_gis.ingest.tables import read_lines
-    from georef_gis.measure.accuracy_report import Survey
+    from georef_gis.measure.accuracy.report import Survey
 
     header = read_lines(path).header
     return Survey(
@@ -135,7 +135,7 @@ def read_residuals(path: Path) -> list[CheckResidual]:
 
 def _residual(row: Any) -> CheckResidual:
     from georef_gis.errors import InputError
-    from georef_gis.measure.accuracy import CheckResidual
+    from georef_gis.measure.accuracy.product import CheckResidual
 
     values = {key: row.number(key) for key in (*_COLUMNS[1:], *_FURTHER[:4])}
     dx, dy, dz, sigma_h, sigma_v, x, y = (math.nan if v is None else v for v in values.values())
@@ -166,9 +166,9 @@ def write_statement(report: AccuracyReport, folder: Path) -> dict[str, Path]:
     """Write the statement, the JSON and the pictures; pictures of an older one are removed."""
     import json
 
-    from georef_gis.measure.accuracy_metadata import statement_json
-    from georef_gis.measure.accuracy_plots import accuracy_pictures
-    from georef_gis.measure.accuracy_statement import statement_text
+    from georef_gis.measure.accuracy.metadata import statement_json
+    from georef_gis.measure.accuracy.plots import accuracy_pictures
+    from georef_gis.measure.accuracy.statement import statement_text
     from georef_gis.rasters.files import export_errors, whole_file
 
     told = json.dumps(statement_json(report), indent=2, allow_nan=False) + "\n"
@@ -187,8 +187,8 @@ def write_statement(report: AccuracyReport, folder: Path) -> dict[str, Path]:
 
 def account_of(report: AccuracyReport, outputs: Mapping[str, Path]) -> dict[str, Any]:
     """Figures of the run's record, and doubts where something was tested."""
-    from georef_gis.measure.accuracy_report import report_flags
-    from georef_gis.measure.accuracy_sentences import sentence, statement_components
+    from georef_gis.measure.accuracy.report import report_flags
+    from georef_gis.measure.accuracy.sentences import sentence, statement_components
 
     main = report.main
     tested = {c.name: c for c in main.components if c.n and not c.vegetated}

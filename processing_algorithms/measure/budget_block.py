@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from georef_gis.frames import Array
-from georef_gis.measure.budget_adjusted import Known, known_directly, position_and_angles
+from georef_gis.measure.budget.adjusted import Known, known_directly, position_and_angles
 
 if TYPE_CHECKING:
     from georef_gis.orient.adjustment.block import Block

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from georef_gis.measure.budget_adjusted import MATCHING, BlockSplit, split
-from georef_gis.measure.budget_parts import ChainSplit, PairSplit, SourcedErrors, TagSplit
+from georef_gis.measure.budget.adjusted import MATCHING, BlockSplit, split
+from georef_gis.measure.budget.parts import ChainSplit, PairSplit, SourcedErrors, TagSplit
 from georef_gis.project.columns_file import read_columns
 from processing_algorithms.measure.budget_block import (
     FlightNoise,

@@ -11,8 +11,8 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, che
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.measure.budget import PointBudget, Remedy
-    from georef_gis.measure.budget_parts import SourcedErrors
+    from georef_gis.measure.budget.parts import SourcedErrors
+    from georef_gis.measure.budget.shares import PointBudget, Remedy
     from georef_gis.model.control import Mark
     from georef_gis.project import Project
     from processing_algorithms.measure.session import MeasureSession
@@ -67,8 +67,8 @@ class ErrorBudget(Algorithm[ErrorBudgetParameters]):
         self, context: Context, parameters: ErrorBudgetParameters, feedback: Feedback
     ) -> Result:
         """Take the errors apart."""
-        from georef_gis.measure.budget import remedies, usual_budget
-        from georef_gis.measure.budget_table import advice_line, height_line
+        from georef_gis.measure.budget.shares import remedies, usual_budget
+        from georef_gis.measure.budget.table import advice_line, height_line
         from processing_algorithms.measure.budget_sources import error_sources
         from processing_algorithms.measure.session import MeasureSession
 
@@ -143,7 +143,7 @@ def _asset_marks(project: Project, click: float) -> list[Mark]:
 def _of_marks(
     session: MeasureSession, errors: SourcedErrors, marks: list[Mark], feedback: Feedback
 ) -> list[PointBudget]:
-    from georef_gis.measure.budget import point_budgets
+    from georef_gis.measure.budget.shares import point_budgets
 
     points = session.measure(marks, on_fail="skip")
     for line in points.refused.values():
@@ -155,7 +155,7 @@ def _of_photos(
     parameters: ErrorBudgetParameters, session: MeasureSession, errors: SourcedErrors,
     feedback: Feedback,
 ) -> list[PointBudget]:  # fmt: skip
-    from georef_gis.measure.budget import photo_budgets
+    from georef_gis.measure.budget.shares import photo_budgets
 
     chosen = _chosen(parameters, session)
     if len(chosen) > MOST_PHOTOS:
@@ -185,7 +185,7 @@ def _chosen(parameters: ErrorBudgetParameters, session: MeasureSession) -> list[
 
 def _far(each: Sequence[PointBudget], whole: PointBudget) -> list[str]:
     """Photos or points that are far worse than usual, and by which source."""
-    from georef_gis.measure.budget import COUPLED, SOURCES
+    from georef_gis.measure.budget.shares import COUPLED, SOURCES
 
     usual = whole.horizontal()
     lines = []
@@ -207,7 +207,7 @@ def _summary(
     each: Sequence[PointBudget], whole: PointBudget, found: Sequence[Remedy], doubts: list[str],
     outputs: dict[str, Path],
 ) -> dict[str, Any]:  # fmt: skip
-    from georef_gis.measure.budget_table import remedy_line
+    from georef_gis.measure.budget.table import remedy_line
 
     return {
         "products": [str(path) for path in outputs.values()],
@@ -225,8 +225,8 @@ def _write(
     project: Project, session: MeasureSession, each: Sequence[PointBudget], whole: PointBudget,
     found: Sequence[Remedy],
 ) -> dict[str, Path]:  # fmt: skip
-    from georef_gis.measure.budget_plots import budget_figure, tilt_figure
-    from georef_gis.measure.budget_table import budget_row, remedy_rows, sources_of
+    from georef_gis.measure.budget.plots import budget_figure, tilt_figure
+    from georef_gis.measure.budget.table import budget_row, remedy_rows, sources_of
     from georef_gis.measure.report.draw import png
     from georef_gis.rasters.files import export_errors, whole_file
     from processing_algorithms.measure.point_table import write_rows

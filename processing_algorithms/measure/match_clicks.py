@@ -8,7 +8,7 @@ from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from georef_gis.measure.click_match import Matched
+    from georef_gis.measure.click_match.match import Matched
     from georef_gis.measure.measured import MeasuredPoints
     from georef_gis.model.control import Mark
     from processing_algorithms.measure.session import MeasureSession

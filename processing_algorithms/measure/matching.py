@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from georef_gis.measure.click_match import Matched
+    from georef_gis.measure.click_match.match import Matched
     from georef_gis.model.control import Mark
     from processing_algorithms.measure.session import MeasureSession
 
@@ -34,7 +34,7 @@ def match_marks(
     InputError
         If a photo is not known or cannot be read.
     """
-    from georef_gis.measure.click_match import match_click
+    from georef_gis.measure.click_match.match import match_click
     from georef_gis.rasters.warp import one_thread_each
 
     into = None if photos is None else [session.photo_id(key) for key in photos]

@@ -24,7 +24,7 @@ def budget_of(project: Project, site: Site) -> tuple[Budget | None, str]:
     from numpy.linalg import LinAlgError
 
     from georef_gis.errors import GeorefError
-    from georef_gis.measure.budget import photo_budgets, remedies, usual_budget
+    from georef_gis.measure.budget.shares import photo_budgets, remedies, usual_budget
     from georef_gis.measure.report.budget_section import Budget
     from processing_algorithms.measure.budget_sources import error_sources
     from processing_algorithms.measure.session import MeasureSession

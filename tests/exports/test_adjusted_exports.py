@@ -368,9 +368,9 @@ def test_rasters_say_from_which_poses_they_are(case) -> None:
 
 def statement() -> tuple[dict, dict[str, str]]:
     """JSON and metadata of a report with 31 check points, by the stage that makes them."""
-    from georef_gis.measure.accuracy import CheckResidual, Targets, assess
-    from georef_gis.measure.accuracy_metadata import statement_json, statement_metadata
-    from georef_gis.measure.accuracy_report import AccuracyReport, Survey
+    from georef_gis.measure.accuracy.metadata import statement_json, statement_metadata
+    from georef_gis.measure.accuracy.product import CheckResidual, Targets, assess
+    from georef_gis.measure.accuracy.report import AccuracyReport, Survey
 
     rng = np.random.default_rng(2)
     residuals = [
@@ -446,8 +446,8 @@ def test_control_points_are_read_back_from_the_database(case) -> None:
 
 def test_the_files_are_read_as_the_adjustment_writes_them() -> None:
     from exports import adjustment
-    from georef_gis.measure.accuracy_metadata import FORMAT
-    from georef_gis.measure.accuracy_sentences import STANDARD
+    from georef_gis.measure.accuracy.metadata import FORMAT
+    from georef_gis.measure.accuracy.sentences import STANDARD
     from georef_gis.orient.adjustment import keep
     from processing_algorithms.measure.accuracy_table import JSON
 

@@ -26,8 +26,8 @@ from flight_truth import Relief
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, utm_crs
 from georef_gis.measure.scene import Scene
-from georef_gis.measure.surface_common import common_errors
-from georef_gis.measure.surface_points import PointField
+from georef_gis.measure.surface.common_errors import common_errors
+from georef_gis.measure.surface.points import PointField
 from georef_gis.model.ground_errors import GroundErrors
 from georef_gis.model.joint_errors import CameraErrors, JointErrors, PoseSource
 from georef_gis.model.photo_stack import PhotoStack

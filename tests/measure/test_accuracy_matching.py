@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from georef_gis.measure.accuracy_matching import Grey, Match, find_patch
+from georef_gis.measure.accuracy.matching import Grey, Match, find_patch
 
 # texture pixels per pixel of the pictures
 SCALE = 4.0

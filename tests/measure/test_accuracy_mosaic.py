@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from georef_gis.errors import CrsError
 from georef_gis.frames import Array, exp_so3
 from georef_gis.geodesy import MapFrame, Origin, map_crs, metres_per_unit
-from georef_gis.measure.accuracy_mosaic import MarkedPhoto, MosaicReader
+from georef_gis.measure.accuracy.mosaic import MarkedPhoto, MosaicReader
 from georef_gis.model.camera import Camera
 from georef_gis.model.grid import Grid
 from georef_gis.model.mesh import Ground

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from georef_gis.measure.accuracy import CheckResidual, Targets, assess
-from georef_gis.measure.accuracy_metadata import statement_json, statement_metadata
-from georef_gis.measure.accuracy_plots import accuracy_pictures, histogram_figure, picture
-from georef_gis.measure.accuracy_report import AccuracyReport, SeamFinding, Survey
-from georef_gis.measure.accuracy_sentences import STANDARD, sentence
-from georef_gis.measure.accuracy_statement import statement_text
+from georef_gis.measure.accuracy.metadata import statement_json, statement_metadata
+from georef_gis.measure.accuracy.plots import accuracy_pictures, histogram_figure, picture
+from georef_gis.measure.accuracy.product import CheckResidual, Targets, assess
+from georef_gis.measure.accuracy.report import AccuracyReport, SeamFinding, Survey
+from georef_gis.measure.accuracy.sentences import STANDARD, sentence
+from georef_gis.measure.accuracy.statement import statement_text
 
 
 def report(

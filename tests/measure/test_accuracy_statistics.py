@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 
 from georef_gis.errors import InputError
-from georef_gis.measure.accuracy import Assessment, CheckResidual, Targets, assess
-from georef_gis.measure.accuracy_checks import (
+from georef_gis.measure.accuracy.checks import (
     distance_to_control,
     distribution,
     flags_of,
     placement_flags,
 )
-from georef_gis.measure.accuracy_statistics import robust_z, share_within, t_test
-from georef_gis.measure.accuracy_surface import surface_readings
+from georef_gis.measure.accuracy.product import Assessment, CheckResidual, Targets, assess
+from georef_gis.measure.accuracy.statistics import robust_z, share_within, t_test
+from georef_gis.measure.accuracy.surface import surface_readings
 from georef_gis.model.terrain import FlatTerrain
 
 # Chiang, Tsai and Chu (2012), "The development of an UAV borne direct georeferenced photogrammetric

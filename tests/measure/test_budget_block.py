@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from georef_gis.frames import Array, skew
-from georef_gis.measure.budget_adjusted import split
-from georef_gis.measure.budget_forecast import Sensors
-from georef_gis.measure.preflight import Plan, layout_of, plan_area
+from georef_gis.measure.budget.adjusted import split
+from georef_gis.measure.budget.forecast import Sensors
+from georef_gis.measure.preflight.layout import Plan, layout_of, plan_area
 from georef_gis.model.camera import Camera
 from georef_gis.orient.adjustment.adjust import Adjusted, adjust
 from georef_gis.orient.adjustment.problem import Problem
 from processing_algorithms.measure.budget_block import known_of_block, tag_noise
-from processing_algorithms.measure.plan_block import planned_block, planned_photos
+from processing_algorithms.plan.plan_block import planned_block, planned_photos
 
 pytestmark = pytest.mark.slow
 CAMERA = Camera(

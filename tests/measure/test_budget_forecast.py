@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from georef_gis.errors import InputError
 from georef_gis.frames import exp_so3
-from georef_gis.measure.budget import SOURCES, remedies
-from georef_gis.measure.budget_forecast import Forecast, Motion, Sensors, tilt_displacements
+from georef_gis.measure.budget.forecast import Forecast, Motion, Sensors, tilt_displacements
+from georef_gis.measure.budget.shares import SOURCES, remedies
 from georef_gis.model.camera import Camera
 from georef_gis.model.ground_point import locate
 

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from georef_gis.frames import Array, skew
-from georef_gis.measure.budget import point_budgets, remedies, signed_root, usual_budget
-from georef_gis.measure.budget_adjusted import (
+from georef_gis.measure.budget.adjusted import (
     BlockSplit,
     Known,
     known_directly,
     position_and_angles,
     split,
 )
-from georef_gis.measure.budget_parts import (
+from georef_gis.measure.budget.parts import (
     ChainSplit,
     FixedSplit,
     SourcedErrors,
     TagSplit,
     by_blocks,
 )
+from georef_gis.measure.budget.shares import point_budgets, remedies, signed_root, usual_budget
 from georef_gis.measure.points import Mark, MeasuredPoints, intersect_points, locate_points
 from georef_gis.model.joint_errors import JointErrors, PoseSource
 from georef_gis.model.photo_stack import PhotoStack

@@ -27,8 +27,8 @@ from match_cases import (
 
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
-from georef_gis.measure.click_match import Matched, match_click
-from georef_gis.measure.click_match_place import SharedClick, intersect_matched, kept_sigma
+from georef_gis.measure.click_match.match import Matched, match_click
+from georef_gis.measure.click_match.place import SharedClick, intersect_matched, kept_sigma
 from georef_gis.measure.points import Mark, intersect_points, locate_points
 
 pytestmark = pytest.mark.slow

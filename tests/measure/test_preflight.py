@@ -14,7 +14,8 @@ from lxml import etree
 
 from georef_gis.ellipsoid import Origin
 from georef_gis.errors import GeometryError, InputError
-from georef_gis.measure.preflight import (
+from georef_gis.measure.preflight.kml import KML, flight_kml
+from georef_gis.measure.preflight.layout import (
     Layout,
     Plan,
     PlannedLine,
@@ -25,8 +26,7 @@ from georef_gis.measure.preflight import (
     plan_area,
     plan_corridor,
 )
-from georef_gis.measure.preflight_kml import KML, flight_kml
-from georef_gis.measure.preflight_observable import Leg, observable
+from georef_gis.measure.preflight.observable import Leg, observable
 from georef_gis.model.camera import Camera
 
 # The 2012 paper's camera and its overlaps

@@ -13,7 +13,7 @@ import pytest
 from report_cases import Page, adjusted_facts, project_facts
 
 from georef_gis.measure.assets.asset import EDITED, Asset, Click, Quality
-from georef_gis.measure.budget import PointBudget, remedies
+from georef_gis.measure.budget.shares import PointBudget, remedies
 from georef_gis.measure.report.assets_section import (
     MOST_PICTURES,
     MOST_ROWS,

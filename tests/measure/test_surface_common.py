@@ -17,7 +17,7 @@ from adjustment_flights import many, oriented_photos
 from georef_gis.frames import Array, skew
 from georef_gis.geodesy import MapFrame, Origin, utm_crs
 from georef_gis.measure.scene import Scene
-from georef_gis.measure.surface_common import CommonErrors, common_errors
+from georef_gis.measure.surface.common_errors import CommonErrors, common_errors
 from georef_gis.model.photo import OrientedPhoto
 from georef_gis.model.terrain import FlatTerrain
 

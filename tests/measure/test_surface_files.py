@@ -16,11 +16,11 @@ import shapely
 from georef_gis.errors import ExportError, GeometryError, InputError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, geoid_undulation, parse_crs
-from georef_gis.measure.profile import profile_along, profile_figure
 from georef_gis.measure.report.draw import png
-from georef_gis.measure.surface_field import GroundField, sigma_at
-from georef_gis.measure.surface_las import Extra, write_las
-from georef_gis.measure.surface_raster import (
+from georef_gis.measure.surface.field import GroundField, sigma_at
+from georef_gis.measure.surface.las import Extra, write_las
+from georef_gis.measure.surface.profile import profile_along, profile_figure
+from georef_gis.measure.surface.raster import (
     LOCAL_BAND,
     NODATA,
     SIGMA_BAND,

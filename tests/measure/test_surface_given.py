@@ -14,14 +14,14 @@ from rasterio import Affine
 from georef_gis.errors import CrsError, GeorefError, InputError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, geoid_undulation, parse_crs
-from georef_gis.measure.surface_field import GroundField, HeightField
-from georef_gis.measure.surface_raster import HeightReference, surface_profile, surface_tiles
+from georef_gis.measure.surface.field import GroundField, HeightField
+from georef_gis.measure.surface.raster import HeightReference, surface_profile, surface_tiles
 from georef_gis.model.grid import Grid
 from georef_gis.model.tin import EnuPlane, SquareCells, tin_terrain
 from georef_gis.project import Project
 from georef_gis.rasters.writer import TiledWriter
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
-from processing_algorithms.measure.surface_given import raster_field
+from processing_algorithms.surface.given import raster_field
 
 ORIGIN = Origin(lat=math.radians(39.0975), lon=math.radians(-80.467), height_ellipsoidal=277.6)
 FRAME = MapFrame(ORIGIN, parse_crs("EPSG:32617"))

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.geodesy import MapFrame, Origin, utm_crs
-from georef_gis.measure.surface_base import GivenHeight, LowestLevel, OtherSurface, RimPlane
-from georef_gis.measure.surface_common import CommonErrors
-from georef_gis.measure.surface_field import GroundField
-from georef_gis.measure.surface_integral import cells_of, correlated_variance, ring_of
-from georef_gis.measure.surface_points import PointField
-from georef_gis.measure.volume import Volume, volume
+from georef_gis.measure.surface.base import GivenHeight, LowestLevel, OtherSurface, RimPlane
+from georef_gis.measure.surface.common_errors import CommonErrors
+from georef_gis.measure.surface.field import GroundField
+from georef_gis.measure.surface.integral import cells_of, correlated_variance, ring_of
+from georef_gis.measure.surface.points import PointField
+from georef_gis.measure.surface.volume import Volume, volume
 from georef_gis.model.ground_errors import GroundErrors
 from georef_gis.model.tie_points import GroundPoints
 

@@ -15,11 +15,11 @@ import pytest
 from surface_flights import AREA, MIDDLE, ORIGIN, VOLUME, flown, surface_of
 
 from georef_gis.frames import Array
-from georef_gis.measure.surface_base import GivenHeight, LowestLevel, OtherSurface, RimPlane
-from georef_gis.measure.surface_field import GroundField, sigma_at
-from georef_gis.measure.surface_integral import cells_of
-from georef_gis.measure.surface_points import PointField
-from georef_gis.measure.volume import volume
+from georef_gis.measure.surface.base import GivenHeight, LowestLevel, OtherSurface, RimPlane
+from georef_gis.measure.surface.field import GroundField, sigma_at
+from georef_gis.measure.surface.integral import cells_of
+from georef_gis.measure.surface.points import PointField
+from georef_gis.measure.surface.volume import volume
 
 pytestmark = pytest.mark.slow
 # 4 flights in the daily tests; 40 when asked

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from adjustment_blocks import judge
 
-from georef_gis.measure.budget_forecast import Sensors
-from georef_gis.measure.preflight import Layout, Plan, crossing, layout_of, plan_area
+from georef_gis.measure.budget.forecast import Sensors
+from georef_gis.measure.preflight.layout import Layout, Plan, crossing, layout_of, plan_area
 from georef_gis.model.camera import Camera
-from processing_algorithms.measure.plan_block import PER_PHOTO, promise
+from processing_algorithms.plan.plan_block import PER_PHOTO, promise
 
 # 5 flights in the daily tests; 40 when asked
 FLIGHTS = int(os.environ.get("GEOREF_FLIGHTS", "5"))

@@ -21,7 +21,7 @@ from georef_gis.errors import InputError
 from georef_gis.measure.assets.domain import load_domain
 from georef_gis.measure.assets.store import AssetStore, Change
 from georef_gis.project import Project
-from processing_algorithms.measure.asset_clicks import read_clicks
+from processing_algorithms.assets.asset_clicks import read_clicks
 
 TRUTH = SAMPLE / "truth"
 

@@ -20,7 +20,7 @@ from georef_gis.measure.workzone.wzdx_rules import check_feed
 from georef_gis.project import Project
 from georef_gis.project.records import load_frame
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
-from processing_algorithms.measure.asset_places import joint_places
+from processing_algorithms.assets.asset_places import joint_places
 
 TRUTH = SAMPLE / "truth"
 CONES = [f"C{k:02d}" for k in range(1, 14)]

@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from PIL import Image
 from web_cases import SAMPLE, Served, Tab, opened, served, true_control, true_pixels, waited
+
+from georef_gis.app import cli
 
 pytestmark = pytest.mark.slow
 # m
@@ -209,3 +212,17 @@ def test_poses_that_a_stopped_run_left_without_their_camera_are_not_used(site: P
         answer = client.post("/api/measure/place", json=click)
         assert answer.status_code == 400, answer.text
         assert "run `georef run`" in answer.json()["error"]
+
+
+def test_a_run_that_ends_after_the_photos_were_read_leaves_adjusted_poses_usable(
+    site: Path,
+) -> None:
+    click = {"photo": "IMG_0004", "u": 600.0, "v": 400.0}
+    with opened(site) as (client, _):
+        before = client.post("/api/measure/place", json=click).json()
+    done = CliRunner().invoke(cli.georef, ["run", str(site), "--only", "read_photos", "--force"])
+    assert done.exit_code == 0, done.output
+    with opened(site) as (client, _):
+        answer = client.post("/api/measure/place", json=click)
+        assert answer.status_code == 200, answer.text
+        assert answer.json() == before

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from georef_gis.measure.budget import COUPLED, SOURCES, PointBudget, Remedy
-from georef_gis.measure.budget_plots import budget_figure
-from georef_gis.measure.budget_table import ADVICE, height_line
+from georef_gis.measure.budget.plots import budget_figure
+from georef_gis.measure.budget.shares import COUPLED, SOURCES, PointBudget, Remedy
+from georef_gis.measure.budget.table import ADVICE, height_line
 from georef_gis.measure.report.draw import few, metres, plural, png
 from georef_gis.measure.report.page import Item, Lines, Picture, Table, Text, Verdict, judged
 

@@ -1,0 +1,1 @@
+"""Accuracy statement: check points, statistics, sentences."""

@@ -1,0 +1,1 @@
+"""Error budget: what the errors of a place are made of."""

@@ -1,0 +1,1 @@
+"""Clicks matched into the photos beside them."""

@@ -1,0 +1,1 @@
+"""Before the flight: lines, overlap, and the accuracy that may be promised."""

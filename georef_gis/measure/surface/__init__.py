@@ -1,0 +1,1 @@
+"""Surfaces with their sigma, profiles and volumes."""

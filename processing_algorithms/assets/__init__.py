@@ -1,0 +1,1 @@
+"""Tools of assets and work zones."""

@@ -1,0 +1,279 @@
+"""A work zone's assets as its settings name them: rows of devices, edges and signs with places."""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from georef_gis.errors import InputError
+from georef_gis.measure.assets.asset import Asset
+from georef_gis.measure.assets.domain import Domain
+from georef_gis.measure.workzone.geometry import Measured, along_and_offset, order_along
+from georef_gis.measure.workzone.screening import (
+    LaneCheck,
+    SignCheck,
+    TangentCheck,
+    TaperCheck,
+    ZoneChecks,
+)
+from georef_gis.measure.workzone.zone_settings import (
+    ZONE_FILE,
+    LaneSettings,
+    TaperSettings,
+    ZoneSettings,
+    read_zone,
+    zone_template,
+)
+from georef_gis.units import INTERNATIONAL_FOOT as FOOT
+from processing_algorithms.assets.asset_places import JointPlaces, joint_places
+
+if TYPE_CHECKING:
+    from georef_gis.geodesy import MapFrame
+    from georef_gis.project import Project
+
+DEVICES, SIGNS = "channelizing device", "sign"
+_INCH = FOOT / 12.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ZoneAssets:
+    """Assets of a zone with their places.
+
+    Parameters
+    ----------
+    lines
+        Devices by line, in the order of the row.
+    directed
+        Lines whose first device is known to be the first that drivers meet.
+    signs
+        By line.
+    edges
+        Lines by the name of their asset.
+    """
+
+    frame: MapFrame
+    places: JointPlaces
+    measured: Measured
+    lines: dict[str, tuple[Asset, ...]]
+    directed: frozenset[str]
+    signs: dict[str, tuple[Asset, ...]]
+    edges: dict[str, Asset]
+
+    def devices(self, line: str) -> tuple[int, ...]:
+        """Indices of the devices of a line."""
+        return tuple(self.places.indices[asset.id][0] for asset in self.lines[line])
+
+    def edge(self, name: str) -> tuple[int, ...]:
+        """Indices of the vertices of an edge; none for no name."""
+        return self.places.indices[self.edges[name].id] if name else ()
+
+
+def zone_settings(project: Project, given: Path | None) -> ZoneSettings:
+    """Settings of a zone; where there are none, a file to fill in is written and named.
+
+    Raises
+    ------
+    InputError
+        If there was none, or it cannot be used.
+    """
+    from georef_gis.measure.assets.store import AssetStore
+    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
+
+    path = given or project.folder / ZONE_FILE
+    if path.is_file():
+        return read_zone(path)
+    with AssetStore.of_project(project) as store:
+        assets, domain = store.assets(), store.domain
+    devices, signs = (
+        Counter(_line(a) for a in assets if a.kind in domain.in_group(group) and _line(a))
+        for group in (DEVICES, SIGNS)
+    )
+    edges = [asset.name for asset in assets if asset.shape == "line" and asset.name]
+    text = zone_template(
+        event_id=str(uuid.uuid4()), devices=devices, signs=signs, edges=edges
+    ).encode()
+    with export_errors(path, lambda: len(text)), whole_file(resolve_target(path)) as stream:
+        stream.write(text)
+    raise InputError("there was none; it was written now with what there is to say: fill it in and "
+                     "run again", source=str(path))  # fmt: skip
+
+
+def zone_assets(
+    project: Project, zone: ZoneSettings, *, more: Sequence[str] = (), sigma_px: float
+) -> ZoneAssets:
+    """Assets that a zone's settings name, measured together.
+
+    Parameters
+    ----------
+    more
+        Lines besides those of the checks.
+    sigma_px
+        One sigma of a click that states none, px.
+
+    Raises
+    ------
+    InputError
+        Naming what is not there, or has no accuracy.
+    """
+    from georef_gis.measure.assets.store import AssetStore
+    from georef_gis.project.records import load_frame
+
+    with AssetStore.of_project(project) as store:
+        assets, domain = store.assets(), store.domain
+    names = [*(t.line for t in zone.tapers), *zone.tangents, *(lane.line for lane in zone.lanes),
+             *(taper for _, taper in zone.signs), *more]  # fmt: skip
+    edge_names = [*(t.edge for t in zone.tapers), *(lane.edge for lane in zone.lanes)]
+    rows = {name: _of_line(assets, domain, name, DEVICES, zone.source)
+            for name in dict.fromkeys(names)}  # fmt: skip
+    signs = {name: _of_line(assets, domain, name, SIGNS, zone.source) for name, _ in zone.signs}
+    edges = {name: _edge(assets, name, zone.source) for name in dict.fromkeys(edge_names) if name}
+    used = {a.id: a for row in (*rows.values(), *signs.values()) for a in row}
+    used |= {asset.id: asset for asset in edges.values()}
+    if not used:
+        raise InputError("names no line of devices; give one", source=zone.source)
+    frame = load_frame(project.database)
+    places = joint_places(project, frame, list(used.values()), sigma_px=sigma_px)
+    measured = Measured.of(places.names, places.p_enu, places.covariance)
+    lines, directed = {}, set()
+    for name, row in rows.items():
+        lines[name], is_directed = _ordered(row, places, zone.travel)
+        if is_directed:
+            directed.add(name)
+    return ZoneAssets(frame=frame, places=places, measured=measured, lines=lines,
+                      directed=frozenset(directed), signs=signs, edges=edges)  # fmt: skip
+
+
+def _line(asset: Asset) -> str:
+    return str(asset.attributes.get("line") or "")
+
+
+def _of_line(
+    assets: Sequence[Asset], domain: Domain, name: str, group: str, source: str
+) -> tuple[Asset, ...]:
+    kinds = domain.in_group(group)
+    found = tuple(
+        a for a in assets if a.kind in kinds and a.shape == "point" and _line(a) == name
+    )  # fmt: skip
+    if not found:
+        there = sorted({_line(a) for a in assets if a.kind in kinds and _line(a)})
+        raise InputError(
+            f"no {group} belongs to line '{name[:40]}'; "
+            f"there are {', '.join(there[:10]) or 'none'}",
+            source=source,
+        )
+    return found
+
+
+def _edge(assets: Sequence[Asset], name: str, source: str) -> Asset:
+    found = [a for a in assets if a.shape == "line" and a.name == name]
+    if len(found) != 1:
+        raise InputError(f"{len(found)} line assets are called '{name[:40]}'; the edge must be one",
+                         source=source, field="edge")  # fmt: skip
+    return found[0]
+
+
+def _ordered(
+    row: tuple[Asset, ...], places: JointPlaces, travel: float | None
+) -> tuple[tuple[Asset, ...], bool]:
+    """Devices in their order, and whether that is known to be the way of the traffic."""
+    orders = [asset.attributes.get("order") for asset in row]
+    if all(isinstance(order, int) for order in orders) and len(set(orders)) == len(orders):
+        by_order = sorted(zip(orders, range(len(row)), strict=True))
+        return tuple(row[k] for _, k in by_order), True
+    xy = places.p_enu[[places.indices[asset.id][0] for asset in row], :2]
+    way = order_along(xy)
+    if travel is None:
+        return tuple(row[k] for k in way), False
+    towards = np.array([math.sin(math.radians(travel)), math.cos(math.radians(travel))])
+    if (xy[way[-1]] - xy[way[0]]) @ towards < 0.0:
+        way.reverse()
+    return tuple(row[k] for k in way), True
+
+
+# -- what is to be screened ----------------------------------------------------------------------
+
+
+def zone_checks(zone: ZoneSettings, found: ZoneAssets) -> ZoneChecks:
+    """What a zone's settings ask to be screened, by indices of the measured places."""
+    return ZoneChecks(
+        speed_mph=zone.speed_mph or 0.0,
+        road_type=zone.road_type,
+        tapers=tuple(_taper(one, found) for one in zone.tapers),
+        tangents=tuple(TangentCheck(name=n, devices=found.devices(n)) for n in zone.tangents),
+        lanes=tuple(lane_check(one, found) for one in zone.lanes),
+        signs=tuple(_signs(*one, found) for one in zone.signs),
+    )
+
+
+def _taper(one: TaperSettings, found: ZoneAssets) -> TaperCheck:
+    return TaperCheck(
+        name=one.line,
+        kind=one.kind,
+        devices=found.devices(one.line),
+        offset=one.offset,
+        edge=found.edge(one.edge),
+    )
+
+
+def lane_check(one: LaneSettings, found: ZoneAssets) -> LaneCheck:
+    """Lane between a row and an edge, with half the widths of the devices."""
+    half = []
+    for asset in found.lines[one.line]:
+        width = asset.attributes.get("width_in")
+        half.append(width * _INCH / 2.0 if isinstance(width, int | float) else math.nan)
+    return LaneCheck(
+        name=one.name,
+        devices=found.devices(one.line),
+        edge=found.edge(one.edge),
+        half_widths=tuple(half),
+        least=one.least,
+    )
+
+
+def _signs(line: str, taper: str, found: ZoneAssets) -> SignCheck:
+    """Signs from the taper outwards; it begins at its first device, or where they are nearest.
+
+    Raises
+    ------
+    InputError
+        If a sign is known to stand behind the beginning of the taper.
+    """
+    signs = [found.places.indices[asset.id][0] for asset in found.signs[line]]
+    devices, xy = found.devices(taper), found.measured.xy
+    middle = xy[signs].mean(axis=0)
+    ends = devices[:1] if taper in found.directed else (devices[0], devices[-1])
+    start = min(ends, key=lambda i: float(np.linalg.norm(xy[i] - middle)))
+    behind = [found.measured.names[i] for i in signs
+              if (xy[i] - xy[start]) @ (xy[devices[-1]] - xy[start]) > 0.0]  # fmt: skip
+    if behind and taper in found.directed:
+        raise InputError(
+            f"line {line} has signs behind the beginning of {taper} ({', '.join(behind[:5])}); it "
+            "is for advance warning: give other signs another line, or none"
+        )
+    signs.sort(key=lambda i: float(np.linalg.norm(xy[i] - xy[start])))
+    return SignCheck(name=line, signs=tuple(signs), start=start)
+
+
+def offset_to_left(zone: ZoneSettings, found: ZoneAssets, lines: Sequence[str]) -> float | None:
+    """Shift of a merging taper to the left of the traffic, m; None where it cannot be told.
+
+    The direction of the road is that of the row which follows the taper.
+    """
+    merging = {one.line for one in zone.tapers if one.kind == "merging"}
+    xy = found.measured.xy
+    for line, following in pairwise(lines):
+        if line not in merging or not {line, following} <= found.directed:
+            continue
+        taper, row = found.devices(line), found.devices(following)
+        if len(taper) > 1 and len(row) > 1:
+            road = xy[row[-1]] - xy[row[0]]
+            return along_and_offset(xy[taper[0]], xy[taper[-1]], road)[1]
+    return None

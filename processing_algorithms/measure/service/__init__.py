@@ -1,0 +1,1 @@
+"""Service `measure` of the page."""

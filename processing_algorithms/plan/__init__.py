@@ -1,0 +1,1 @@
+"""Tool that plans a flight."""

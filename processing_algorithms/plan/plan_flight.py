@@ -1,0 +1,256 @@
+"""Tool `plan_flight`: lines to fly, and the accuracy that may be promised before the flight."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
+from georef_gis.toolbox import parameters as p
+
+if TYPE_CHECKING:
+    from georef_gis.measure.budget.forecast import Forecast
+    from georef_gis.measure.preflight.layout import Plan
+    from georef_gis.model.camera import Camera
+    from processing_algorithms.plan.plan_block import BlockPromise
+    from processing_algorithms.plan.plan_lines import PlannedLines
+
+# px of blur that a sharp picture may have
+SHARP = 0.7
+# of the overlap that all photos need so that each place is in three of one line
+LEAST_OVERLAP = 0.6
+
+
+class PlanFlightParameters(p.Parameters):
+    """Parameters of `plan_flight`."""
+
+    height: p.Length = p.length(title="Height above the ground", unit="m", gt=0, le=20000)
+    speed: p.Number = p.number(title="Ground speed", unit="m/s", gt=0, le=300)
+    area: p.File | None = p.file(None, title="File with the area to cover, one polygon")
+    line: p.File | None = p.file(None, title="File with a centre line, for a road")
+    layer: p.Text | None = p.text(None, title="Layer of that file, if several have shapes")
+    corner: tuple[p.MapPoint, ...] = p.map_point(
+        (), title="Corner of the area, x,y (lon,lat unless @CRS is added); give it once per corner"
+    )
+    width: p.Length = p.length(60.0, title="Width to cover along a centre line", gt=0)
+    overlap: p.Number = p.number(80.0, title="Overlap along a line", unit="%", ge=0, lt=100)
+    sidelap: p.Number = p.number(40.0, title="Overlap of lines", unit="%", ge=0, lt=100)
+    heading: p.Angle | None = p.angle(
+        None, title="Heading of the lines; by default along the longer side", ge=-360, le=360
+    )
+    across: Literal["width", "height"] = p.choice("width", title="Side of the photo across lines")
+    crossed: p.Flag = p.flag(
+        False, title="Add a line across at a second height",
+        help="tells boresight, lever arm and focal length apart",
+    )  # fmt: skip
+    second_height: p.Length | None = p.length(
+        None, title="Its height; by default 1.3 of the first", gt=0, le=20000
+    )
+    relief: p.Length = p.length(0.0, title="How much higher the ground rises in the area", ge=0)
+    photo: p.File | None = p.file(None, title="A photo of the camera, whose tags describe it")
+    focal: p.Length | None = p.length(None, title="Focal length, of no photo", unit="mm", gt=0)
+    sensor_width: p.Length | None = p.length(None, title="Width of the sensor", unit="mm", gt=0)
+    columns: p.Integer | None = p.integer(None, title="Columns of a photo", unit="px", ge=2)
+    rows: p.Integer | None = p.integer(None, title="Rows of a photo", unit="px", ge=2)
+    exposure: p.Number = p.number(0.001, title="Exposure time", unit="s", gt=0, le=10)
+    rate: p.Angle = p.angle(5.0, title="Usual rate of roll and pitch, per second", ge=0, le=360)
+    gnss: p.Length = p.length(2.2, title="One sigma of the position, east and north each", ge=0)
+    gnss_up: p.Length = p.length(5.0, title="One sigma of the height", ge=0)
+    roll_pitch: p.Angle = p.angle(1.0, title="One sigma of roll and pitch", ge=0, le=90)
+    yaw: p.Angle = p.angle(2.0, title="One sigma of yaw", ge=0, le=180)
+    boresight: p.Angle = p.angle(0.5, title="One sigma of the boresight", ge=0, le=90)
+    lever_arm: p.Length = p.length(0.05, title="One sigma of the lever arm", ge=0)
+    time: p.Number = p.number(0.002, title="One sigma of the exposure time", unit="s", ge=0)
+    focal_percent: p.Number = p.number(
+        0.5, title="One sigma of the focal length", unit="%", ge=0, le=50
+    )
+    centre_px: p.Number = p.number(8.0, title="One sigma of the principal point", unit="px", ge=0)
+    ground: p.Length = p.length(1.5, title="One sigma of the height of the ground", ge=0)
+    click: p.Number = p.number(1.0, title="One sigma of a click", unit="px", ge=0, le=100)
+    tie_px: p.Number = p.number(
+        0.5, title="One sigma of a tie point", unit="px", gt=0, le=20, advanced=True
+    )
+    control: p.Integer = p.integer(0, title="Control points in the block", ge=0, le=50)
+    target: p.File | None = p.file(None, title="KML to write", suffixes=(".kml",), writes=True)
+    picture: p.File | None = p.file(None, title="PNG to write", suffixes=(".png",), writes=True)
+
+
+class PlanFlight(Algorithm[PlanFlightParameters]):
+    """Lines to fly over an area or along a road, and what accuracy may be promised.
+
+    Ground sample distance, footprint, base, trigger interval, blur, lines as KML; what a point
+    from one photo will be worth, and what one of an adjusted block: part of the plan goes through
+    the adjustment itself. Told too is what the lines cannot tell of mount, clock and camera.
+    """
+
+    id, name, group = "plan_flight", "Plan a flight", "measure"
+    needs_project = False
+    outputs = (
+        Output(name="plan", title="Lines to fly as KML"),
+        Output(name="picture", title="Map of the lines, and the error budget"),
+    )
+
+    def run(self, context: Context, parameters: PlanFlightParameters, feedback: Feedback) -> Result:
+        """Plan."""
+        from georef_gis.errors import InputError
+        from georef_gis.measure.budget.forecast import Forecast, Motion
+        from georef_gis.measure.budget.shares import remedies
+        from georef_gis.measure.budget.table import advice_line
+        from processing_algorithms.plan.plan_block import promise
+        from processing_algorithms.plan.plan_lines import (
+            PlannedLines,
+            planned_camera,
+            planned_sensors,
+        )
+
+        camera = planned_camera(parameters)
+        sensors = planned_sensors(parameters, camera)
+        lines = PlannedLines.of(parameters, camera)
+        if lines.origin is None and parameters.target is not None:
+            raise InputError("a plan needs an area or a line to lie somewhere", field="target")
+        feedback.progress(0.3, "block")
+        motion = Motion(speed=parameters.speed, rate=parameters.rate)
+        forecast = Forecast.of(camera, parameters.height, sensors, motion)
+        block = promise(
+            lines.plan, camera, sensors, tie_px=parameters.tie_px, control=parameters.control
+        )
+        summary = _figures(parameters, lines.plan, camera)
+        summary |= _promises(forecast, block)
+        warnings = [*_doubts(parameters, lines.plan, camera), *_unseen(lines.plan)]
+        for line in warnings:
+            feedback.warn(line)
+        if line := advice_line(remedies(forecast.photo())):
+            feedback.info(f"a point from one photo: {line}")
+        outputs = _write(parameters, lines, forecast, summary)
+        return Result(outputs=outputs, summary={**summary, "doubts": warnings})
+
+
+# -- figures -----------------------------------------------------------------------------------
+
+
+def _figures(parameters: PlanFlightParameters, plan: Plan, camera: Camera) -> dict[str, Any]:
+    layout = plan.layouts[0]
+    blur = layout.blur(parameters.exposure, rate=parameters.rate, focal=camera.fx)
+    over = layout.overlaps_over(parameters.relief)
+    out: dict[str, Any] = {
+        "gsd_m": round(layout.gsd, 4),
+        "footprint_m": [round(layout.across, 2), round(layout.along, 2)],
+        "base_m": round(layout.base, 2),
+        "line_spacing_m": round(layout.spacing, 2),
+        "trigger_interval_s": round(layout.interval, 3),
+        "blur_px": round(blur, 2),
+        "lines": len(plan.lines),
+        "photos": plan.photos,
+        "way_km": round(plan.length / 1000.0, 3),
+        "minutes_without_turns": round(plan.length / layout.speed / 60.0, 1),
+    }
+    if parameters.relief > 0.0:
+        out["overlap_over_high_ground_percent"] = [round(100.0 * share, 1) for share in over]
+    if not (parameters.area or parameters.line or parameters.corner):
+        # a plan of nowhere has no number of lines
+        for name in ("lines", "photos", "way_km", "minutes_without_turns"):
+            del out[name]
+    return out
+
+
+def _promises(forecast: Forecast, block: BlockPromise | None) -> dict[str, Any]:
+    photo, middle = forecast.photo(), forecast.middle()
+    out: dict[str, Any] = {
+        "one_photo_sigma_h_m": round(photo.horizontal(), 4),
+        "one_photo_middle_sigma_h_m": round(middle.horizontal(), 4),
+        "one_photo_sources_m": {
+            source: round(photo.horizontal(source), 4) for source in photo.by_source
+        },
+    }
+    if block is not None:
+        out |= {
+            "adjusted_sigma_h_m": round(block.horizontal, 4),
+            "adjusted_sigma_u_m": round(block.up, 4),
+            "adjusted_distances_m": {
+                f"{length:g} m": round(sigma, 4) for length, sigma in block.distances
+            },
+            "adjusted_with_control": block.control,
+        }
+    return out
+
+
+def _doubts(parameters: PlanFlightParameters, plan: Plan, camera: Camera) -> list[str]:
+    layout = plan.layouts[0]
+    out = []
+    over, side = layout.overlaps_over(parameters.relief)
+    if over < LEAST_OVERLAP:
+        out.append(
+            f"an overlap of {100 * over:.0f} % along lines leaves places that fewer than three "
+            "photos see: no adjustment finds its own mistakes there; take 60 % or more"
+        )
+    if len(plan.lines) > 1 and side <= 0.0:
+        out.append(f"neighbouring lines do not overlap ({100 * side:.0f} %): the block falls apart")
+    blur = layout.blur(parameters.exposure, rate=parameters.rate, focal=camera.fx)
+    if blur > SHARP:
+        best = parameters.exposure * SHARP / blur
+        out.append(
+            f"the picture moves by {blur:.1f} px during an exposure of "
+            f"{1000 * parameters.exposure:.3g} ms; {SHARP} px take {1000 * best:.2g} ms or less"
+        )
+    return out
+
+
+def _unseen(plan: Plan) -> list[str]:
+    """What the planned lines cannot tell of mount, clock and camera, and what would."""
+    from georef_gis.measure.preflight.layout import headings_of
+    from georef_gis.measure.preflight.observable import Leg, observable
+
+    speed = plan.layouts[0].speed
+    courses = headings_of(plan.lines)
+    legs = [
+        Leg.still(course, line.height, speed)
+        for course, line in zip(courses, plan.lines, strict=True)
+    ]
+    found = observable(legs)
+    told = [f"with points known on the ground still: {line}" for line in found.told()]
+    if not told:
+        return []
+    crossed = any(abs(math.sin(course - courses[0])) > 0.3 for course in courses)
+    heights = len({line.height for line in plan.lines}) > 1
+    cure = "vary the speed on some lines" if crossed and heights else \
+        "fly crossed lines at two heights (--crossed), some of them at another speed"  # fmt: skip
+    return [*told, f"to tell them apart {cure}"]
+
+
+# -- files -------------------------------------------------------------------------------------
+
+
+def _write(
+    parameters: PlanFlightParameters,
+    lines: PlannedLines,
+    forecast: Forecast,
+    summary: dict[str, Any],
+) -> dict[str, Path]:  # fmt: skip
+    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
+
+    contents: dict[str, tuple[Path, bytes]] = {}
+    words = (
+        f"{parameters.height:g} m, GSD {100 * summary['gsd_m']:.1f} cm, "
+        f"{parameters.overlap:g}/{parameters.sidelap:g} %, base {summary['base_m']:g} m, "
+        f"every {summary['trigger_interval_s']:g} s at {parameters.speed:g} m/s"
+    )
+    if parameters.target is not None:
+        from georef_gis.measure.preflight.kml import flight_kml
+
+        if lines.origin is None:
+            raise ValueError("a plan of nowhere has no file")
+        data = flight_kml(
+            lines.plan.lines, lines.origin, name="flight plan", description=words, area=lines.ring
+        )
+        contents["plan"] = (parameters.target, data)
+    if parameters.picture is not None:
+        from georef_gis.measure.preflight.plot import plan_figure
+        from georef_gis.measure.report.draw import png
+
+        figure = plan_figure(lines.plan, forecast.photo(), ring=lines.ring, title=words)
+        contents["picture"] = (parameters.picture, png(figure))
+    for path, data in contents.values():
+        with export_errors(path, lambda: 0), whole_file(resolve_target(path)) as stream:
+            stream.write(data)
+    return {name: path for name, (path, _) in contents.items()}

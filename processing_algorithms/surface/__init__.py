@@ -1,0 +1,1 @@
+"""Tools of surfaces, profiles and volumes."""
