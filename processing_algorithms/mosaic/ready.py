@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from georef_gis.mosaic.job import MosaicJob
     from georef_gis.mosaic.nadir import MosaicSource
     from processing_algorithms.mosaic.inputs import Inputs
-    from processing_algorithms.mosaic.mosaic import MosaicParameters
+    from processing_algorithms.mosaic.parameters import MosaicParameters
 
 Sources = Mapping[str, "MosaicSource"]
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from georef_gis.measure.budget.forecast import Sensors
     from georef_gis.measure.preflight.layout import Layout, Plan
     from georef_gis.model.camera import Camera
-    from processing_algorithms.plan.plan_flight import PlanFlightParameters
+    from processing_algorithms.plan.parameters import PlanFlightParameters
 
 # Lines and photos of a plan without an area: what is told does not depend on more.
 NOMINAL = (5, 9)

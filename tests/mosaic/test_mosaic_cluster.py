@@ -24,7 +24,8 @@ from georef_gis.rasters.writer import TiledWriter
 from georef_gis.toolbox.context import CollectingFeedback, Context
 from processing_algorithms.mosaic import cluster as cluster_module
 from processing_algorithms.mosaic.cluster import Shares, reached
-from processing_algorithms.mosaic.mosaic import MosaicParameters, MosaicTool
+from processing_algorithms.mosaic.mosaic import MosaicTool
+from processing_algorithms.mosaic.parameters import MosaicParameters
 
 distributed = pytest.importorskip("distributed")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import shutil
@@ -227,7 +228,6 @@ def test_places_measured_in_a_photo_have_the_sigma_of_the_level(tmp_path: Path) 
         "--pixel", "400,300", "--target", target,
     )  # fmt: skip
     assert done.code == 0, done.text
-    names, row = (line.split(",") for line in target.read_text().splitlines())
-    values = dict(zip(names, map(float, row), strict=True))
-    assert values["sigma_u_m"] > abs(N) / 2
-    assert values["sigma_e_m"] < 12.0
+    (values,) = csv.DictReader(target.read_text().splitlines())
+    assert float(values["sigma_u_m"]) > abs(N) / 2
+    assert float(values["sigma_e_m"]) < 12.0
