@@ -51,7 +51,12 @@ class Wzdx(Algorithm[WzdxParameters]):
 
     def run(self, context: Context, parameters: WzdxParameters, feedback: Feedback) -> Result:
         """Make the feed."""
-        from georef_gis.measure.workzone.wzdx import accuracy_file, build_feed, wzdx_settings
+        from georef_gis.measure.workzone.wzdx import (
+            accuracy_file,
+            build_feed,
+            stated_width,
+            wzdx_settings,
+        )
         from processing_algorithms.assets.zone_input import zone_assets, zone_settings
 
         project = context.require_project()
@@ -65,6 +70,12 @@ class Wzdx(Algorithm[WzdxParameters]):
         for doubt in (*found.places.doubts, *_gaps(found, settings.lines)):
             feedback.warn(doubt)
         places, widths = _places(found, settings, zone), _widths(zone, found)
+        unsure = [width for width in widths if stated_width(width) <= 0.0]
+        for width in unsure:
+            feedback.warn(
+                f"{width.subject}: width {width.value:.2f} m, one sigma {width.sigma:.2f} m: not "
+                "stated; measure it better"
+            )
         feed = build_feed(settings, places, widths=widths, now=datetime.now(UTC))
         datum = str(found.frame.gnss_datum), found.frame.datum_sigma
         accuracy = accuracy_file(
@@ -75,7 +86,7 @@ class Wzdx(Algorithm[WzdxParameters]):
         _write(outputs["accuracy"], accuracy)
         _write(outputs["feed"], feed)
         summary = {"version": settings.rules.version, "devices": len(places),
-                   "reduced_widths": len(widths),
+                   "reduced_widths": len(widths) - len(unsure),
                    "products": [str(path) for path in outputs.values()]}  # fmt: skip
         return Result(outputs=outputs, summary=summary)
 

@@ -92,8 +92,8 @@ class MeasureSession:
                 f"'{written}' may be {' or '.join(found[:3])}; write its folder too", field="photo"
             )
         raise InputError(
-            f"no photo with a pose is called '{written}'; `georef check` lists the photos and says "
-            "which have none",
+            f"no photo with a pose is called '{written}'; the table of photos in "
+            "products/report.html lists those that have one",
             field="photo",
         )
 

@@ -219,6 +219,13 @@ def test_lane_to_devices_of_unknown_width_says_so() -> None:
     assert "to the middle of the device" in found.note
 
 
+def test_devices_beyond_the_edge_are_refused_and_one_on_it_is_not() -> None:
+    # feet; the measured places are good to centimetres
+    with pytest.raises(InputError, match=r"C3 of lane .L. stand beyond its edge, by 2\.00 m"):
+        lane([12.0, 5.0, -2.0 / FOOT], None)
+    assert lane([12.0, 5.0, 0.0], None)
+
+
 def test_width_is_taken_against_the_width_that_is_asked_for() -> None:
     edge = np.array([[0.0, 0.0], [100.0, 0.0]])
     xy = np.vstack([[[50.0, 11.0]], edge])

@@ -31,6 +31,8 @@ from georef_gis.measure.workzone.verdicts import (
 
 # A distance of fewer sigmas does not tell which of two devices comes first.
 _FEWEST_SIGMAS = 3.0
+# sigmas by which a device must lie beyond an edge to be told that it does
+_BEYOND = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,6 +275,7 @@ def _lane(lane: LaneCheck, measured: Measured, rules: Rules) -> list[Finding]:
         return out
 
     values, covariance = part.propagate(widths)
+    _check_one_side(lane, part, values + np.nan_to_num(half), covariance)
     required = rules.lane
     if lane.least is not None:
         required = Requirement(low=lane.least, source="as given")
@@ -284,6 +287,20 @@ def _lane(lane: LaneCheck, measured: Measured, rules: Rules) -> list[Finding]:
                        float(sigma), required, note)  # fmt: skip
         single.append(replace(one, part=True))
     return [_all_of("lane width", lane.name, values, covariance, single), *single]
+
+
+def _check_one_side(lane: LaneCheck, part: Measured, distances: Array, covariance: Array) -> None:
+    """Refuse devices that stand beyond the edge: there is no lane between, and no width of it."""
+    sigma = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    beyond = np.flatnonzero(distances < -_BEYOND * sigma)
+    if len(beyond):
+        names = ", ".join(part.names[k] for k in beyond[:3])
+        names += f" and {len(beyond) - 3} more" if len(beyond) > 3 else ""
+        raise InputError(
+            f"{names} of lane '{lane.name}' stand beyond its edge, by {-distances.min():.2f} m at "
+            "most: the line of devices crosses it; give a line, or a part of it, on one side",
+            field="lane",
+        )
 
 
 def _signs(row: SignCheck, measured: Measured, required: list[Requirement]) -> list[Finding]:

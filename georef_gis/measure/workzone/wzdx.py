@@ -222,8 +222,9 @@ def _properties(values: Mapping[str, Any], widths: Sequence[Finding]) -> dict[st
         out["types_of_work"] = [{"type_name": one} for one in values["types_of_work"]]
     if values.get("lane"):
         out["lanes"] = sorted(values["lane"], key=lambda lane: str(lane.get("order")).zfill(3))
-    if widths:
-        out["restrictions"] = [_restriction(width) for width in widths]
+    # a width of nothing would close the lane to everyone
+    if told := [width for width in widths if stated_width(width) > 0.0]:
+        out["restrictions"] = [_restriction(width) for width in told]
     return out
 
 

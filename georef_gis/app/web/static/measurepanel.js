@@ -218,7 +218,7 @@ function sights() {
       }),
     ),
     others.length > 8 ? el("p", { class: "note" }, `and ${others.length - 8} more`) : null,
-    el("p", { class: "note" }, "Click it there too: its place becomes better."),
+    el("p", { class: "note" }, "Click it there too, best in a photo from well apart: a wrong click or height then shows."),
   );
 }
 
