@@ -19,6 +19,7 @@ from typing import Any, Self
 
 from georef_gis.errors import InputError
 from georef_gis.project import geopackage
+from georef_gis.project.fingerprint import portable_path
 from georef_gis.project.geometry import from_blob, geometry_type, to_blob
 from georef_gis.project.schema import SCHEMA_NUMBER, TABLES, Table
 from georef_gis.project.spatial_index import add_functions
@@ -259,13 +260,15 @@ class Database:
     ) -> list[Row]:
         """Rows that `where` selects, as written; JSON is decoded, "geom" is WKB or None.
 
+        Paths are absolute; those of files in the project's folder are right after it was moved.
+
         Each has its "fid" too. The order is that of writing unless a column is named.
         """
         declared = _table(table)
         condition, values = _condition(declared, where)
         by = order if order in declared.columns else "fid"
         found = self._execute(f"SELECT * FROM {table}{condition} ORDER BY {by}", values)
-        return [_decode(declared, row) for row in found.fetchall()]
+        return [_decode(declared, row, self.path) for row in found.fetchall()]
 
     def last_rows(self, table: str, column: str) -> list[Row]:
         """Last row written for each value of a column."""
@@ -275,7 +278,7 @@ class Database:
         found = self._execute(
             f'SELECT * FROM {table} WHERE fid IN (SELECT max(fid) FROM {table} GROUP BY "{column}")'
         )
-        return [_decode(declared, row) for row in found.fetchall()]
+        return [_decode(declared, row, self.path) for row in found.fetchall()]
 
     def count(self, table: str, where: Mapping[str, Any] | None = None) -> int:
         """Number of rows that `where` selects."""
@@ -308,6 +311,8 @@ class Database:
                 raise ValueError(f"table {table.name} has no column {column!r}; it has {known}")
             elif table.columns[column] == "JSON" and value is not None:
                 values[column] = json.dumps(value, default=_plain)
+            elif table.columns[column] == "PATH" and value is not None:
+                values[column] = _portable(str(value), self.path)
             else:
                 values[column] = _plain(value)
         return values
@@ -360,11 +365,19 @@ def _condition(table: Table, where: Mapping[str, Any] | None) -> tuple[str, tupl
     return f" WHERE {terms}", tuple(where.values())
 
 
-def _decode(table: Table, row: sqlite3.Row) -> Row:
+def _portable(given: str, database: Path) -> str:
+    """Path relative to the database's folder if it lies there; a relative one is that already."""
+    folder = database.absolute().parent
+    return portable_path(Path(given), folder) if Path(given).is_absolute() else given
+
+
+def _decode(table: Table, row: sqlite3.Row, database: Path) -> Row:
     values: Row = dict(row)
     for column, kind in table.columns.items():
         if kind == "JSON" and values[column] is not None:
             values[column] = json.loads(values[column])
+        elif kind == "PATH" and values[column] is not None:
+            values[column] = str(database.absolute().parent / values[column])
     if table.geometry and values["geom"] is not None:
         values["geom"] = from_blob(values["geom"])
     return values

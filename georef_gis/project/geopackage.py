@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from georef_gis.project.geometry import from_blob, to_blob
 from georef_gis.project.schema import Table
 
+# Kinds of columns that are text in the file
+CODED = ("JSON", "PATH")
 # "GPKG" and version 1.3.0
 APPLICATION_ID = 0x47504B47
 USER_VERSION = 10300
@@ -83,7 +85,7 @@ def add_table(connection: sqlite3.Connection, table: Table) -> None:
         columns.append(f"geom {table.geometry}")
     # Keys are NOT NULL: SQLite takes two NULLs for different.
     columns += [
-        f'"{name}" {"TEXT" if kind == "JSON" else kind}{" NOT NULL" if name in table.key else ""}'
+        f'"{name}" {"TEXT" if kind in CODED else kind}{" NOT NULL" if name in table.key else ""}'
         for name, kind in table.columns.items()
     ]
     if table.key:

@@ -10,7 +10,10 @@ SCHEMA_NUMBER = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table: columns in order with their SQL type (JSON is TEXT, coded and decoded for you).
+    """A table: columns in order with their SQL type.
+
+    JSON and PATH are TEXT, coded and decoded for you; a PATH of a file in the database's folder is
+    kept relative to it, so that a project may be moved and copied.
 
     Parameters
     ----------
@@ -39,7 +42,7 @@ TABLES: dict[str, Table] = {
             has_z=True,
             columns={
                 "photo_id": "TEXT", "flight_id": "TEXT", "camera_id": "TEXT", "mount_id": "TEXT",
-                "name": "TEXT", "path": "TEXT", "width": "INTEGER", "height": "INTEGER",
+                "name": "TEXT", "path": "PATH", "width": "INTEGER", "height": "INTEGER",
                 "camera_clock": "TEXT", "clock_resolution_s": "REAL", "time_gps": "REAL",
                 "time_sigma_s": "REAL", "time_source": "TEXT", "match_confidence": "REAL",
                 "fingerprint": "TEXT", "tags": "JSON", "status": "TEXT", "doubts": "JSON",
