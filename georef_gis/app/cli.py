@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from georef_gis import __version__
+from georef_gis.app.batch.command import batch
 from georef_gis.app.facing import (
     CANCELLED,
     DONE,
@@ -23,14 +24,15 @@ from georef_gis.app.facing import (
 )
 from georef_gis.app.feedback import JsonFeedback, PlainFeedback
 from georef_gis.app.serve import serve
-from georef_gis.errors import GeorefError, InputError
+from georef_gis.app.values import step_values
+from georef_gis.errors import GeorefError
 
 if TYPE_CHECKING:
     from georef_gis.toolbox.registry import Registry, Tool
-    from georef_gis.toolbox.runner import RunOptions, StepReport
     from georef_gis.toolbox.specs import Spec
+    from georef_gis.toolbox.steps import RunOptions, StepReport
 
-BUILT_IN = ("run", "serve", "tools", "doctor")
+BUILT_IN = ("run", "batch", "serve", "tools", "doctor")
 
 
 class Tools(click.Group):
@@ -128,7 +130,7 @@ def run(project: Path, as_json: bool, verbose: int, values: tuple[str, ...], **w
         from georef_gis.toolbox.runner import run_pipeline
 
         wishes["only"] = tuple(name for part in wishes["only"] for name in part.split(",") if name)
-        given, options = _settings(values), _options(wishes)
+        given, options = step_values(values), _options(wishes)
         found = Project.open(project)
         reports = run_pipeline(_registry(), found, feedback, values=given, options=options)
         _finish(
@@ -178,6 +180,7 @@ def doctor(folder: Path, as_json: bool, verbose: int) -> None:
             sys.exit(USER_ERROR)
 
 
+georef.add_command(batch)
 georef.add_command(serve)
 
 
@@ -311,21 +314,9 @@ def _help(spec: Spec) -> str:
 
 
 def _options(wishes: dict[str, Any]) -> RunOptions:
-    from georef_gis.toolbox.runner import RunOptions
+    from georef_gis.toolbox.steps import RunOptions
 
     return RunOptions(**{key: value for key, value in wishes.items() if value is not None})
-
-
-def _settings(texts: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Parameters of steps from texts such as ``orthos.gsd=2cm``."""
-    values: dict[str, dict[str, str]] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        tool, dot, parameter = name.rpartition(".")
-        if not (equals and dot and tool and parameter):
-            raise InputError(f"{text!r} is not of the form ID.NAME=VALUE", field="--set")
-        values.setdefault(tool, {})[parameter.replace("-", "_")] = value
-    return values
 
 
 def _finish(feedback: PlainFeedback, events: list[dict[str, Any]], lines: list[str]) -> None:

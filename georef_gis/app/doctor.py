@@ -18,7 +18,7 @@ from typing import Literal
 from georef_gis import __version__
 from georef_gis.toolbox.health import geodesy_findings, raster_findings
 from georef_gis.toolbox.registry import Registry
-from georef_gis.toolbox.runner import default_workers
+from georef_gis.toolbox.steps import default_workers
 
 State = Literal["ok", "doubtful", "bad"]
 # bytes below which a site of a few hundred photos will not fit
@@ -117,13 +117,14 @@ def _machine(folder: Path) -> Iterator[Finding]:
     state: State = "ok" if free >= LEAST_DISK else "doubtful"
     yield Finding(subject="free disk", state=state, message=f"{free / 1e9:.1f} GB")
     yield Finding(subject="processors", state="ok", message=str(default_workers()))
-    memory = _memory()
+    memory = memory_bytes()
     if memory is not None:
         state = "ok" if memory >= LEAST_MEMORY else "doubtful"
         yield Finding(subject="memory", state=state, message=f"{memory / 1e9:.1f} GB")
 
 
-def _memory() -> int | None:
+def memory_bytes() -> int | None:
+    """Memory of this machine; None where it cannot be told."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, ValueError, OSError):

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from georef_gis.app.grouping import grouped
-from georef_gis.toolbox.runner import StepReport, products_of
+from georef_gis.toolbox.runner import products_of
+from georef_gis.toolbox.steps import StepReport
 
 # Lines of doubts shown; all are in the database.
 MOST_DOUBTS = 20

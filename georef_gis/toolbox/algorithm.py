@@ -137,6 +137,11 @@ class Algorithm(ABC, Generic[P]):
         return ()
 
     @classmethod
+    def makes_state(cls) -> bool:
+        """Whether the project is made of its results; else it answers a question or exports."""
+        return cls.in_run or bool(cls.gives)
+
+    @classmethod
     def help(cls) -> str:
         """Docstring of the tool."""
         return inspect.cleandoc(cls.__doc__ or "")

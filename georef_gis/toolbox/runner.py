@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,12 +17,22 @@ from georef_gis.errors import Cancelled, ExportError, GeorefError, InputError
 from georef_gis.project import Project
 from georef_gis.project.fingerprint import Known, portable_path
 from georef_gis.project.lock import project_lock
+from georef_gis.project.project import DATABASE_FILE
 from georef_gis.toolbox.algorithm import Algorithm, Result
-from georef_gis.toolbox.context import Context, Feedback, check_cancelled
+from georef_gis.toolbox.context import CollectingFeedback, Context, Feedback, check_cancelled
 from georef_gis.toolbox.parameters import Parameters
 from georef_gis.toolbox.pipeline import plan_steps, upstream_tools
 from georef_gis.toolbox.registry import Registry, Tool
-from georef_gis.toolbox.staleness import DONE, dependencies, output_fingerprints, why_stale
+from georef_gis.toolbox.staleness import (
+    CANCELLED,
+    DONE,
+    FAILED,
+    REFUSED,
+    dependencies,
+    output_fingerprints,
+    why_stale,
+)
+from georef_gis.toolbox.steps import RunOptions, StepFeedback, StepReport, default_workers
 
 logger = logging.getLogger(__name__)
 
@@ -33,82 +43,6 @@ CURABLE = (
     errno.ENOSPC, errno.EACCES, errno.EPERM, errno.EROFS, errno.EDQUOT, errno.EFBIG,
     errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EIO,
 )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepReport:
-    """What became of one step.
-
-    Parameters
-    ----------
-    skipped
-        The last run still holds; `result` is what that gave.
-    reason
-        Why it ran.
-    """
-
-    tool: Tool
-    skipped: bool
-    reason: str
-    duration_s: float
-    result: Result
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOptions:
-    """Wishes for a run.
-
-    Parameters
-    ----------
-    only
-        Ids of the steps to look at; empty = all.
-    start
-        Id of the step to begin with: it runs whether or not it is stale.
-    force
-        Run what is not stale too.
-    verify
-        Hash inputs and outputs as a whole.
-    """
-
-    only: tuple[str, ...] = ()
-    start: str = ""
-    quick: bool = False
-    force: bool = False
-    verify: bool = False
-    workers: int = 0
-    seed: int | None = None
-
-
-@dataclass(slots=True)
-class StepFeedback:
-    """Feedback of one step: maps its progress into that of the run, and keeps its warnings."""
-
-    inner: Feedback
-    first: float = 0.0
-    share: float = 1.0
-    warnings: list[str] = field(default_factory=list)
-
-    def progress(self, fraction: float, message: str = "") -> None:
-        """Pass on, as a fraction of the whole run."""
-        self.inner.progress(self.first + self.share * min(max(fraction, 0.0), 1.0), message)
-
-    def warn(self, message: str) -> None:
-        """Pass on and keep."""
-        self.warnings.append(message)
-        self.inner.warn(message)
-
-    def info(self, message: str) -> None:
-        """Pass on."""
-        self.inner.info(message)
-
-    def cancelled(self) -> bool:
-        """Whether the user wants to stop."""
-        return self.inner.cancelled()
-
-
-def default_workers() -> int:
-    """Number of processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_tool(
@@ -141,7 +75,7 @@ def run_tool(
     assert project is not None
     parameters = _parameters(tool, project, values)
     with ExitStack() as stack:
-        if tool.algorithm.in_run or tool.algorithm.gives:
+        if tool.algorithm.makes_state():
             stack.enter_context(project_lock(project.folder))
         run = _Run(registry, project, feedback, options)
         return run.step(tool, parameters, forced=options.force or not tool.algorithm.in_run)
@@ -180,6 +114,34 @@ def run_pipeline(
             reports.append(run.step(tool, own, forced=force))
     feedback.progress(1.0, "done")
     return reports
+
+
+def why_pending(
+    registry: Registry,
+    project: Project,
+    *,
+    values: Mapping[str, Mapping[str, Any]] | None = None,
+    options: RunOptions | None = None,
+) -> str:
+    """Reason why `run_pipeline` would do something now; empty if every step still holds.
+
+    Nothing is written, and no lock is needed: what another run does meanwhile is no step that
+    holds.
+    """
+    options = options or RunOptions()
+    given = {registry.find(name).full_id: items for name, items in (values or {}).items()}
+    steps = plan_steps(registry, options.only, options.start, quick=options.quick)
+    if options.force or options.start:
+        return "it was asked for"
+    if not (project.folder / DATABASE_FILE).is_file():
+        return "it never ran"
+    with project.reader() as reader:
+        run = _Run(registry, reader, CollectingFeedback(), options)
+        for tool in steps:
+            parameters = _parameters(tool, reader, given.get(tool.full_id, {}))
+            if reason := run.why_stale(tool, parameters):
+                return f"{tool.id}: {reason}"
+    return ""
 
 
 def _warn_of_unknown_tools(registry: Registry, project: Project, feedback: Feedback) -> None:
@@ -281,13 +243,9 @@ class _Run:
         """Run a step, or find that its last run still holds."""
         check_cancelled(self.feedback)
         algorithm = tool.algorithm()
-        verify = self.options.verify
-        now = dependencies(
-            tool, algorithm, self.context, parameters, self._upstream(tool),
-            verify=verify, known=self.known,
-        )  # fmt: skip
+        now = self._dependencies(tool, algorithm, parameters)
         last = self.last.get(tool.full_id)
-        stale = why_stale(last, now, self.project, verify=verify)
+        stale = why_stale(last, now, self.project, verify=self.options.verify)
         if not stale and not forced and last is not None:
             logger.info("%s: unchanged", tool.id)
             result = _recorded(last, self.project)
@@ -300,6 +258,22 @@ class _Run:
         return StepReport(
             tool=tool, skipped=False, reason=reason, duration_s=duration, result=result
         )
+
+    def why_stale(self, tool: Tool, parameters: Parameters) -> str:
+        """Reason why a step would run; empty if its last run still holds."""
+        last = self.last.get(tool.full_id)
+        if last is None:
+            return why_stale(None, {}, self.project, verify=False)
+        now = self._dependencies(tool, tool.algorithm(), parameters)
+        return why_stale(last, now, self.project, verify=self.options.verify)
+
+    def _dependencies(
+        self, tool: Tool, algorithm: Algorithm[Any], parameters: Parameters
+    ) -> dict[str, Any]:
+        return dependencies(
+            tool, algorithm, self.context, parameters, self._upstream(tool),
+            verify=self.options.verify, known=self.known,
+        )  # fmt: skip
 
     def _upstream(self, tool: Tool) -> dict[str, int]:
         """Last runs of the steps whose results this one reads."""
@@ -339,7 +313,7 @@ class _Run:
                 result = algorithm.run(context, parameters, self.feedback)
             check_cancelled(self.feedback)
         except BaseException as error:
-            outcome = "cancelled" if isinstance(error, Cancelled) else "failed"
+            outcome = _ending(tool, error)
             message = str(error) if isinstance(error, GeorefError) else repr(error)
             self._close(tool, fid, clock, outcome=outcome, message=message)
             raise
@@ -364,6 +338,18 @@ class _Run:
                 raise
             logger.warning("the record of %s could not be written", tool.id)
         self.last[tool.full_id] = {**self.last[tool.full_id], **columns}
+
+
+def _ending(tool: Tool, error: BaseException) -> str:
+    """Outcome of a run that raised, as its record tells it.
+
+    A tool that makes no part of the project and says what is wrong with what it was asked leaves
+    the project as good as it was: that is no failure of the project.
+    """
+    if isinstance(error, Cancelled):
+        return CANCELLED
+    is_answer = isinstance(error, GeorefError) and not tool.algorithm.makes_state()
+    return REFUSED if is_answer else FAILED
 
 
 def _last_runs(project: Project) -> dict[str, dict[str, Any]]:

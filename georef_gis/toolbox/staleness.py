@@ -22,9 +22,14 @@ from georef_gis.toolbox.context import Context
 from georef_gis.toolbox.parameters import Parameters
 from georef_gis.toolbox.registry import Tool
 
-DONE = "done"
+# Outcomes of a run. "refused" is that of a question which could not be answered: of a tool that
+# makes no part of the project, which stays as it was.
+DONE, FAILED, CANCELLED, REFUSED = "done", "failed", "cancelled", "refused"
 # What is said of a run that was not done. One that was killed is still "started".
-ENDINGS = {"started": "was not finished", "failed": "failed", "cancelled": "was cancelled"}
+ENDINGS = {
+    "started": "was not finished", FAILED: "failed", CANCELLED: "was cancelled",
+    REFUSED: "was refused",
+}  # fmt: skip
 
 
 def dependencies(

@@ -18,7 +18,8 @@ from georef_gis.toolbox import Algorithm, CollectingFeedback, Context, Feedback,
 from georef_gis.toolbox import parameters as p
 from georef_gis.toolbox.pipeline import plan_steps
 from georef_gis.toolbox.registry import Registry
-from georef_gis.toolbox.runner import RunOptions, StepReport, run_pipeline, run_tool
+from georef_gis.toolbox.runner import run_pipeline, run_tool
+from georef_gis.toolbox.steps import RunOptions, StepReport
 
 
 @pytest.fixture
@@ -224,6 +225,40 @@ def test_failed_step_is_recorded_and_runs_again(toy: Registry, site: Path) -> No
     reports = run(toy, site)
     assert ran(reports) == ["fails", "double"]
     assert reports[1].reason == "its last run failed"
+
+
+class Broken(Exception):
+    """A bug."""
+
+
+@pytest.mark.parametrize(
+    ("makes", "error", "outcome"),
+    [
+        ({}, InputError("no such photo"), "refused"),
+        ({}, ExportError("the disk is full"), "refused"),
+        ({}, Broken("a bug"), "failed"),
+        ({}, Cancelled("stopped by the user"), "cancelled"),
+        ({"gives": ("answer",)}, InputError("no such photo"), "failed"),
+        ({"in_run": True}, InputError("no such photo"), "failed"),
+    ],
+)
+def test_a_refused_question_is_no_failure_of_the_project(
+    toy: Registry, project: Project, makes: dict[str, Any], error: Exception, outcome: str
+) -> None:
+    class Ask(Algorithm[p.Parameters]):
+        """Ask."""
+
+        id, name, group = "ask", "Ask", "measure"
+
+        def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+            raise error
+
+    for name, value in makes.items():
+        setattr(Ask, name, value)
+    toy.add("toy", (Ask,), "toy-georef", "0.3")
+    with pytest.raises(type(error)):
+        run_tool(toy, "ask", {}, CollectingFeedback(), project=project)
+    assert [row["outcome"] for row in project.database.rows("run")] == [outcome]
 
 
 def test_cancelled_run_is_recorded_and_runs_again(toy: Registry, site: Path) -> None:

@@ -23,7 +23,8 @@ from georef_gis.project import Project
 from georef_gis.rasters import files, quarters, spool
 from georef_gis.rasters.writer import TiledWriter
 from georef_gis.toolbox.registry import load_registry
-from georef_gis.toolbox.runner import RunOptions, run_tool
+from georef_gis.toolbox.runner import run_tool
+from georef_gis.toolbox.steps import RunOptions
 from processing_algorithms.mosaic import ready, seam_file
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,8 @@ from georef_gis.app.report import report_event
 from georef_gis.errors import Cancelled, GeorefError
 from georef_gis.project import Project
 from georef_gis.toolbox.registry import load_registry
-from georef_gis.toolbox.runner import RunOptions, run_pipeline, run_tool
+from georef_gis.toolbox.runner import run_pipeline, run_tool
+from georef_gis.toolbox.steps import RunOptions
 
 DONE, BUG, USER_ERROR, CANCELLED = 0, 1, 2, 130
 # Stands for all steps of `georef run`.

@@ -1,0 +1,1 @@
+"""`georef batch`: many sites, each in a process of its own, and one table of them all."""
