@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,8 @@ def clicks(project: Path) -> None:
 def main(photos: int = 167, project: str = "") -> None:
     scene, marks = scene_of(photos)
     timed(f"intersect {POINTS} points with {RAYS} rays", lambda: intersect_points(scene, marks))
+    on = [replace(mark, on_ground=True) for mark in marks]
+    timed("the same, said to lie on the ground", lambda: intersect_points(scene, on))
     points = intersect_points(scene, marks)
     timed(f"table of {POINTS} points", lambda: point_rows(points))
     timed("joint covariance of 300 of them", lambda: points.covariance(np.arange(300)))

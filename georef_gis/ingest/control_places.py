@@ -6,6 +6,7 @@ place is wrong are set off; heights that cannot be right are not used, the place
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -111,6 +112,7 @@ def _observations(
         ]
     ).reshape(-1, 3)
     used = [(key, mark) for key, mark in marks if mark.name in number]
+    rays = Counter(mark.name for _, mark in used)
     return ControlObservations(
         names=tuple(points[i].name for i in usable),
         role=tuple(points[i].role for i in usable),
@@ -119,7 +121,8 @@ def _observations(
         photo_ids=tuple(key for key, _ in used),
         point=np.array([number[mark.name] for _, mark in used], dtype=np.int32),
         uv=np.array([[mark.u, mark.v] for _, mark in used]).reshape(-1, 2),
-        sigma_px=np.array([mark.sigma_px for _, mark in used]),
+        # an adjustment takes marks as independent
+        sigma_px=np.array([mark.kept_px(rays[mark.name]) for _, mark in used]),
         source=tuple(mark.source for _, mark in used),
         sigma_shared=np.array([sigma_datum, sigma_datum, 0.0]),
     )

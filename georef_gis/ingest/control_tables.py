@@ -47,7 +47,7 @@ MARK_COLUMNS = {
     **dict.fromkeys(("u", "imageu"), "u"), **dict.fromkeys(("v", "imagev"), "v"),
     **dict.fromkeys(("x", "px", "pixelx", "imx", "xpx", "projectionx"), "corner_u"),
     **dict.fromkeys(("y", "py", "pixely", "imy", "ypx", "projectiony"), "corner_v"),
-    **dict.fromkeys(("sigmapx", "sigma"), "sigma_px"),
+    **dict.fromkeys(("sigmapx", "sigma"), "sigma_px"), "sharedpx": "shared_px", "ground": "ground",
 }  # fmt: skip
 _ROLE_WORDS: dict[str, Role] = {
     **dict.fromkeys(("control", "gcp", "3d gcp", "2d gcp", "ground control point"), "control"),
@@ -353,5 +353,36 @@ def _mark(row: Row, shift: float) -> Mark:
         u=row.required("u", "u") - shift,
         v=row.required("v", "v") - shift,
         sigma_px=positive(row, "sigma_px", row.number("sigma_px"), SIGMA_CLICKED),
+        shared_px=shared_of(row),
+        on_ground=on_ground(row),
         source=row.source,
     )
+
+
+def shared_of(row: Row) -> float:
+    """What a mark has in common with others, px; 0 where column `shared_px` says nothing.
+
+    Raises
+    ------
+    InputError
+        If it is no number, or below 0.
+    """
+    shared = row.number("shared_px") or 0.0
+    return positive(row, "shared_px", shared, 0.0) if shared else 0.0
+
+
+def on_ground(row: Row) -> bool:
+    """Whether column `ground` says that a spot lies on the ground: "on", "free" or nothing.
+
+    Raises
+    ------
+    InputError
+        If it says anything else.
+    """
+    word = row.text("ground").lower()
+    if word not in ("on", "free", ""):
+        raise InputError(
+            f"'{word[:40]}' is neither on nor free: does the spot lie on the ground?",
+            source=row.source, field="ground",
+        )  # fmt: skip
+    return word == "on"

@@ -21,9 +21,10 @@ OnFail = Literal["raise", "skip"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Clicks:
-    """Marks of m pixels: names, photo (m,) index, uv (m, 2) px, sigma (m,) px.
+    """Marks of m pixels: names, photo (m,) index, uv (m, 2) px.
 
-    `number` (m,) counts the marks as they were given.
+    `sigma` (m,) px is each mark's own, `shared` (m,) px what it has in common with others of its
+    point; `number` (m,) counts the marks as they were given.
     """
 
     marks: tuple[Mark, ...]
@@ -31,6 +32,7 @@ class Clicks:
     photo: Ints
     uv: Array
     sigma: Array
+    shared: Array
 
     def __len__(self) -> int:
         """Number of marks."""
@@ -44,7 +46,13 @@ class Clicks:
             photo=self.photo[good],
             uv=self.uv[good],
             sigma=self.sigma[good],
+            shared=self.shared[good],
         )
+
+    @property
+    def whole(self) -> Array:
+        """One sigma of each mark taken alone; (m,) px."""
+        return np.hypot(self.sigma, self.shared)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -71,8 +79,9 @@ def clicks_of(scene: Scene, marks: Sequence[Mark]) -> tuple[Clicks, dict[int, st
             numbers[i] = scene.number(mark.photo)
         except GeometryError as error:
             refused[i] = f"{where_of(mark)}{error}"
-        if not (math.isfinite(mark.sigma_px) and mark.sigma_px >= 0.0):
-            refused[i] = told(mark, f"has a sigma of {mark.sigma_px} px; give one >= 0")
+        for sigma in (mark.sigma_px, mark.shared_px):
+            if not (math.isfinite(sigma) and sigma >= 0.0):
+                refused[i] = told(mark, f"has a sigma of {sigma} px; give one >= 0")
     uv = np.array([[mark.u, mark.v] for mark in marks], dtype=np.float64).reshape(-1, 2)
     inside = scene.photos.contains(numbers, uv)
     for k in (int(i) for i in np.flatnonzero(~inside)):
@@ -86,6 +95,7 @@ def clicks_of(scene: Scene, marks: Sequence[Mark]) -> tuple[Clicks, dict[int, st
         photo=numbers,
         uv=uv,
         sigma=np.array([mark.sigma_px for mark in marks], dtype=np.float64),
+        shared=np.array([mark.shared_px for mark in marks], dtype=np.float64),
     )
     return clicks.where(good), refused
 

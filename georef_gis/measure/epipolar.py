@@ -151,7 +151,7 @@ class _Ray:
             scene.photos, np.full(n, photo), np.broadcast_to(uv, (n, 2)), p, level
         )
         return cls(
-            photo=photo, p_enu=p, by_click=by_click, sigma_px=mark.sigma_px, ground=ground
+            photo=photo, p_enu=p, by_click=by_click, sigma_px=mark.whole_px, ground=ground
         )  # fmt: skip
 
 

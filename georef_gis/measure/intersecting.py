@@ -9,7 +9,9 @@ import numpy as np
 from georef_gis.frames import Array
 from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first, where_of
 from georef_gis.measure.measured import MeasuredPoints, Method, UsedMarks, shared_rows
+from georef_gis.measure.on_ground import with_ground
 from georef_gis.measure.scene import Scene
+from georef_gis.measure.shared_click import with_common
 from georef_gis.model.control import Mark
 from georef_gis.model.intersection_rays import Bools, Marks
 from georef_gis.model.intersections import BLUNDER, Intersections, intersect_many
@@ -27,7 +29,8 @@ def intersect_points(
     Parameters
     ----------
     marks
-        `photo` is a photo's id; each point once in a photo.
+        `photo` is a photo's id; each point once in a photo. Where one of a point's marks is said to
+        be `on_ground`, its height there counts too, unless it contradicts the rays.
     on_fail
         "skip" goes on without marks that cannot be used and points that have no solution, and
         says why in `refused`.
@@ -49,6 +52,7 @@ def intersect_points(
         lost.setdefault(marks[i].name, []).append(line)
     here, place = np.unique(point, return_inverse=True)
     rays = Marks(photo=clicks.photo, point=place, uv=clicks.uv, sigma=clicks.sigma)
+    rays = with_common(scene, rays, clicks.shared)
     found = intersect_many(scene.errors, rays)
     refused = {name: lost[name][0] for name in names if name in lost and number[name] not in here}
     failed = {int(i): f"{names[here[i]]}: {why}" for i, why in found.failed.items()}
@@ -56,9 +60,11 @@ def intersect_points(
     refused |= {names[here[i]]: line for i, line in failed.items()}
     title = tuple(names[i] for i in here)
     doubts = _doubts(scene, rays, found, [lost.get(name, []) for name in title])
-    points = _measured(scene, rays, found, title, doubts)
+    points = _measured(scene, rays, clicks.whole, found, title, doubts)
     solved = np.array([i for i in range(len(title)) if i not in failed], dtype=np.int64)
-    return points.subset(solved).with_refused(refused)
+    said = {mark.name for mark in clicks.marks if mark.on_ground}
+    points = points.subset(solved).with_refused(refused)
+    return with_ground(points, np.array([name in said for name in points.names], dtype=bool))
 
 
 def _once(clicks: Clicks, unfit: dict[int, str]) -> Clicks:
@@ -80,17 +86,19 @@ def _once(clicks: Clicks, unfit: dict[int, str]) -> Clicks:
 def _measured(
     scene: Scene,
     marks: Marks,
+    sigma: Array,
     found: Intersections,
     names: tuple[str, ...],
     doubts: tuple[tuple[str, ...], ...],
 ) -> MeasuredPoints:
     n, errors = len(names), scene.errors
-    sigma = np.zeros(n)
-    np.maximum.at(sigma, marks.point, np.where(found.used, errors.level_sigma(marks.photo), 0.0))
+    of_level = np.zeros(n)
+    of_marks = np.where(found.used, errors.level_sigma(marks.photo), 0.0)
+    np.maximum.at(of_level, marks.point, of_marks)
     level = np.zeros((n, 3, 1))
-    level[:, 2, 0] = sigma
+    level[:, 2, 0] = of_level
     each = found.covariance.copy()
-    each[:, 2, 2] += sigma**2
+    each[:, 2, 2] += of_level**2
     parts = [
         (marks.point, 6 * marks.photo, found.by_pose),
         (marks.point, errors.camera_columns(marks.photo), found.by_camera),
@@ -109,7 +117,7 @@ def _measured(
         chi2=found.chi2,
         marks=UsedMarks(
             point=marks.point[order], photo=marks.photo[order], uv=marks.uv[order],
-            sigma=marks.sigma[order], used=found.used[order], residuals=found.residuals[order],
+            sigma=sigma[order], used=found.used[order], residuals=found.residuals[order],
             normalised=found.normalised[order],
         ),
         doubts=doubts,

@@ -11,7 +11,7 @@ from georef_gis.frames import Array
 from georef_gis.measure.clicks import Clicks, OnFail, clicks_of, raise_first, told, where_of
 from georef_gis.measure.measured import MeasuredPoints, Method, UsedMarks, shared_rows
 from georef_gis.measure.scene import Scene
-from georef_gis.measure.tied_ground import TiedHeights, tied_heights
+from georef_gis.measure.tied_ground import tied_heights, tied_parts, untied_variance
 from georef_gis.model.control import Mark
 from georef_gis.model.ground_point import (
     GRAZING,
@@ -20,8 +20,6 @@ from georef_gis.model.ground_point import (
     ground_sensitivities,
 )
 from georef_gis.model.intersection_rays import Bools
-from georef_gis.model.photo_stack import Ints
-from georef_gis.model.tin import TinTerrain
 
 METHOD: Method = "locate"
 # rad; under a smaller angle the ground says little of how far off a place is
@@ -149,11 +147,12 @@ def _measured(
         (every, errors.camera_columns(clicks.photo), by_sensor),
         (every, np.full(n, errors.size - 1), level),
     ]
-    own = found.by_uv @ np.swapaxes(found.by_uv, 1, 2) * clicks.sigma[:, None, None] ** 2
+    own = found.by_uv @ np.swapaxes(found.by_uv, 1, 2) * clicks.whole[:, None, None] ** 2
     if scene.tied:
         tied = tied_heights(scene, p, ground_normal(scene.terrain, p))
-        parts += _tied_parts(scene, tied, found.by_height)
-        own = own + _untied_variance(scene, tied, found.by_height)
+        parts += tied_parts(scene, tied, found.by_height)
+        up = found.by_height
+        own = own + up[:, :, None] * up[:, None, :] * untied_variance(scene, tied)[:, None, None]
     points = MeasuredPoints(
         scene=scene,
         names=clicks.names,
@@ -175,28 +174,9 @@ def _measured(
 def _marks(clicks: Clicks) -> UsedMarks:
     n = len(clicks)
     return UsedMarks(
-        point=np.arange(n), photo=clicks.photo, uv=clicks.uv, sigma=clicks.sigma,
+        point=np.arange(n), photo=clicks.photo, uv=clicks.uv, sigma=clicks.whole,
         used=np.ones(n, dtype=bool), residuals=np.zeros((n, 2)), normalised=np.zeros(n),
     )  # fmt: skip
-
-
-def _tied_parts(
-    scene: Scene, tied: TiedHeights, by_height: Array
-) -> list[tuple[Ints, Ints, Array]]:
-    """What the ground's height adds to the places' dependence on photos and cameras."""
-    up = by_height[tied.place][:, :, None]
-    columns = scene.errors.camera_columns(tied.photo)
-    return [
-        (tied.place, 6 * tied.photo, up * tied.by_pose[:, None]),
-        (tied.place, columns, up * tied.by_camera[:, None]),
-    ]
-
-
-def _untied_variance(scene: Scene, tied: TiedHeights, by_height: Array) -> Array:
-    """Covariance that the surface's shared sigma makes where no two photos tell its height."""
-    shared = scene.terrain.sigma_shared if isinstance(scene.terrain, TinTerrain) else 0.0
-    variance = np.where(tied.tied, 0.0, shared**2)
-    return by_height[:, :, None] * by_height[:, None, :] * variance[:, None, None]
 
 
 def _each_alone(points: MeasuredPoints) -> Array:

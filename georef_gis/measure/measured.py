@@ -14,7 +14,7 @@ from georef_gis.frames import Array
 from georef_gis.measure.scene import Scene
 from georef_gis.model.photo_stack import Ints
 
-Method = Literal["locate", "intersect"]
+Method = Literal["locate", "intersect", "intersect_ground"]
 # ("pose", photo id), ("camera", sensor id) or ("level", "")
 Unknown = tuple[str, str]
 
@@ -78,7 +78,8 @@ class MeasuredPoint:
     covariance : shape (3, 3), m^2
         Of the place above the ellipsoid, level included.
     method
-        "locate": one photo and the ground; "intersect": several photos.
+        "locate": one photo and the ground; "intersect": several photos; "intersect_ground": several
+        photos and the ground.
     photo_ids, uv : shape (k, 2) px, used : shape (k,)
         Marks; those not used were found wrong.
     residuals : shape (k, 2), px
@@ -86,11 +87,11 @@ class MeasuredPoint:
     sigma0
         Square root of chi^2 per degree of freedom, near 1 where the sigmas hold; NaN without any.
     dof
-        Degrees of freedom: 2 for each ray, less the 3 of the place.
+        Degrees of freedom: 2 for each ray, and 1 for the ground, less the 3 of the place.
     own : shape (3, 3), m^2
         What no other point shares: the clicks.
     by_height : shape (3,), m/m
-        By the height of the ground there; zero for an intersected point.
+        By the height of the ground there; zero where rays alone tell the place.
     scene, shared : shape (3, U)
         Where it was measured; its derivatives by the unknowns of the scene.
     doubts
@@ -161,7 +162,7 @@ class MeasuredPoints:
     shared : shape (3 n, U)
         By the unknowns of the scene.
     chi2 : shape (n,)
-        Of the marks in use; NaN for a located point.
+        Of the marks in use, and of the ground with them; NaN for a located point.
     marks
         All clicks.
     doubts
@@ -205,7 +206,8 @@ class MeasuredPoints:
 
     def _one(self, i: int) -> MeasuredPoint:
         marks = self.marks.of_point(i)
-        dof = max(2 * int(np.count_nonzero(marks.used)) - 3, 0)
+        by_ground = self.methods[i] == "intersect_ground"
+        dof = max(2 * int(np.count_nonzero(marks.used)) - 3 + by_ground, 0)
         photos = self.scene.photos.photos
         return MeasuredPoint(
             name=self.names[i],

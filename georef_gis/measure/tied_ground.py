@@ -15,6 +15,7 @@ from georef_gis.frames import Array
 from georef_gis.measure.scene import Scene
 from georef_gis.model.intersection_rays import PARALLEL, Bools
 from georef_gis.model.photo_stack import Ints
+from georef_gis.model.tin import TinTerrain
 
 # photos of a place that count, those first which show it nearest to their middle
 _MOST_VIEWS = 12
@@ -74,6 +75,28 @@ def tied_heights(scene: Scene, p_enu: Array, normal: Array) -> TiedHeights:
         by_pose=np.einsum("mj,mjk->mk", along, views.by_pose[kept]),
         by_camera=np.einsum("mj,mjk->mk", along, by_sensor),
     )
+
+
+def tied_parts(scene: Scene, tied: TiedHeights, by_height: Array) -> list[tuple[Ints, Ints, Array]]:
+    """How places hang on the photos through the ground's height, as `shared_rows` takes it.
+
+    Parameters
+    ----------
+    by_height : shape (n, 3), m/m
+        Derivatives of the places by the height of the ground.
+    """
+    up = by_height[tied.place][:, :, None]
+    columns = scene.errors.camera_columns(tied.photo)
+    return [
+        (tied.place, 6 * tied.photo, up * tied.by_pose[:, None]),
+        (tied.place, columns, up * tied.by_camera[:, None]),
+    ]
+
+
+def untied_variance(scene: Scene, tied: TiedHeights) -> Array:
+    """Variance of heights by the surface's shared sigma where no two photos tell them; (n,) m^2."""
+    shared = scene.terrain.sigma_shared if isinstance(scene.terrain, TinTerrain) else 0.0
+    return np.where(tied.tied, 0.0, shared**2)
 
 
 def _views_of(scene: Scene, p_enu: Array) -> tuple[Ints, Ints]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -38,7 +39,17 @@ class ControlPoint:
 class Mark:
     """Pixel of a point in a photo; (0, 0) is the centre of the first pixel.
 
-    `photo` is the name as the file writes it.
+    Parameters
+    ----------
+    photo
+        Its name as the file writes it.
+    sigma_px
+        One sigma of u and of v that no other mark has, px.
+    shared_px
+        One sigma, px of this photo, of what all marks of the point that have one err by alike:
+        they were matched from one click, which may have missed what it means.
+    on_ground
+        Whether the spot lies on the ground, so that the ground's height tells of it too.
     """
 
     name: str
@@ -47,6 +58,21 @@ class Mark:
     v: float
     sigma_px: float = SIGMA_CLICKED
     source: str = ""
+    shared_px: float = 0.0
+    on_ground: bool = False
+
+    @property
+    def whole_px(self) -> float:
+        """One sigma of the mark taken alone, px."""
+        return math.hypot(self.sigma_px, self.shared_px)
+
+    def kept_px(self, rays: int) -> float:
+        """One sigma, px, for who takes the marks of the `rays` photos of a point as independent.
+
+        Their mean is then as unsure in the plan as it is, and in the height less sure than it is:
+        what is taken as independent falls with the root of their number.
+        """
+        return math.hypot(self.sigma_px, self.shared_px * math.sqrt(rays))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,12 +34,17 @@ NO_RAY = "a mark has no ray; check that it lies in its photo"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Marks:
-    """Pixels of points: photo (m,) index, point (m,) index, uv (m, 2) px, sigma (m,) px."""
+    """Pixels of points: photo (m,) index, point (m,) index, uv (m, 2) px, sigma (m,) px.
+
+    `common` (m, 2, 2), px, are the derivatives of a mark by two errors of sigma 1 that all marks
+    of its point share, and no other point; None where there are none.
+    """
 
     photo: Ints
     point: Ints
     uv: Array
     sigma: Array
+    common: Array | None = None
 
     @property
     def n_points(self) -> int:
@@ -200,7 +205,20 @@ class RaySolver:
         at = np.arange(2 * r)
         sigma = np.maximum(self.marks.sigma[rows], _LEAST_SIGMA)
         spread[:, at, at] += np.repeat(sigma**2, 2, axis=1)
+        if self.marks.common is not None:
+            common = self.marks.common[rows].reshape(n, 2 * r, 2)
+            spread += common @ np.swapaxes(common, 1, 2)
         return J, spread
+
+    def by_clicks(self, group: RayGroup) -> Array:
+        """Covariance of places by their own marks alone; (n, 3, 3) m^2."""
+        n, r = group.rows.shape
+        alone = group.gain * np.repeat(self.marks.sigma[group.rows], 2, axis=1)[:, None, :]
+        out = alone @ np.swapaxes(alone, 1, 2)
+        if self.marks.common is not None:
+            common = group.gain @ self.marks.common[group.rows].reshape(n, 2 * r, 2)
+            out += common @ np.swapaxes(common, 1, 2)
+        return np.asarray(out)
 
     def camera_columns(self, rows: Ints) -> Ints:
         """Columns of `by_shared` that are those of each mark's camera; (n, r) -> (n, r, 1, 11)."""

@@ -133,8 +133,7 @@ class _Work:
         weighted = np.einsum("nij,nj->ni", group.weight, residuals)
         self.p[group.points], self.covariance[group.points] = group.p_enu, group.covariance
         self.chi2[group.points] = np.einsum("ni,ni->n", residuals, weighted)
-        clicks = group.gain * np.repeat(self.marks.sigma[group.rows], 2, axis=1)[:, None, :]
-        self.own[group.points] = clicks @ np.swapaxes(clicks, 1, 2)
+        self.own[group.points] = self.solver.by_clicks(group)
         # the place follows the stated poses: it errs the other way
         by_shared = -group.gain @ group.by_shared
         column = self.solver.camera_columns(group.rows)

@@ -2,7 +2,7 @@
 
 from georef_gis.toolbox.algorithm import Algorithm, Output, Result, manifest
 from georef_gis.toolbox.context import CollectingFeedback, Context, Feedback, check_cancelled
-from georef_gis.toolbox.exporter import Exporter, ExportReport, LayerSource
+from georef_gis.toolbox.exporter import Exporter, ExportReport, LayerSource, Sender
 
 __all__ = [
     "Algorithm",
@@ -14,6 +14,7 @@ __all__ = [
     "LayerSource",
     "Output",
     "Result",
+    "Sender",
     "check_cancelled",
     "manifest",
 ]

@@ -84,12 +84,15 @@ class ExportReport:
         ``ellipsoidal``, ``orthometric (EGM96)``, ``above ground``, ``unknown`` or ``none`` (2D).
     features
         Number of features or pictures.
+    place
+        Where to, if to no file; without passwords, as it is recorded.
     """
 
     crs: str
     height_kind: str
     features: int | None = None
     warnings: tuple[str, ...] = ()
+    place: str = ""
 
 
 class Exporter(ABC, Generic[O]):
@@ -127,7 +130,9 @@ class Exporter(ABC, Generic[O]):
         super().__init_subclass__(**kwargs)
         for base in cls.__dict__.get("__orig_bases__", ()):
             arguments = get_args(base)
-            if get_origin(base) is Exporter and isinstance(arguments[0], type):
+            origin = get_origin(base)
+            is_exporter = isinstance(origin, type) and issubclass(origin, Exporter)
+            if is_exporter and isinstance(arguments[0], type):
                 cls.Options = arguments[0]
 
     @abstractmethod
@@ -139,6 +144,25 @@ class Exporter(ABC, Generic[O]):
         `target` is a temporary neighbour with the right suffix, renamed by the toolbox when this
         returns and removed if it raises. `ExportError` if the format cannot hold the layer.
         """
+
+
+class Sender(Exporter[O]):
+    """Base of exporters to what is no file, such as a database: their tool asks for no target.
+
+    Options are recorded with the run: none of them may be a secret.
+    """
+
+    suffix: ClassVar[str] = ""
+
+    @abstractmethod
+    def send(self, source: LayerSource, options: O, feedback: Feedback) -> ExportReport:
+        """Bring the layer to its place, whole or not at all."""
+
+    def write(
+        self, source: LayerSource, target: Path, options: O, feedback: Feedback
+    ) -> ExportReport:
+        """Refuse, as there is no file."""
+        raise ExportError(f"export_{self.id}: writes no file; leave out the target")
 
 
 def layer_kind(layer: str) -> str:
@@ -177,24 +201,19 @@ class ExportTool(Algorithm[p.Parameters]):
         """Write one layer to a temporary neighbour of the target and rename it."""
         project = context.require_project()
         values = parameters.declared()
-        layer, given = str(values.pop("layer")), values.pop("target")
+        layer, given = str(values.pop("layer")), values.pop("target", None)
         kind = layer_kind(layer)
         if kind not in self.exporter.accepts:
             accepted = ", ".join(layers_of(self.exporter))
             raise ExportError(f"{self.id}: cannot hold the {kind} layer {layer}; use {accepted}")
-        target = _named(given) if given else project.products / self._default_target(layer)
+        exporter, options = self.exporter(), self.exporter.Options(**values)
         with project.reader() as reader:
             source = LayerSource(project=reader, layer=layer, kind=kind)
-            report = _write_safely(
-                self.exporter(), source, target, self.exporter.Options(**values), feedback
-            )
-        summary = {
-            "products": [str(target)],
-            "crs": report.crs,
-            "height_kind": report.height_kind,
-            "features": report.features,
-        }
-        return Result(outputs={"target": target}, summary=summary, warnings=tuple(report.warnings))
+            if isinstance(exporter, Sender):
+                return _result(exporter.send(source, options, feedback))
+            target = _named(given) if given else project.products / self._default_target(layer)
+            report = _write_safely(exporter, source, target, options, feedback)
+        return _result(report, target)
 
     def inputs(self, context: Context, parameters: p.Parameters) -> list[Path]:
         """Assets, which are edited outside of any run."""
@@ -204,10 +223,25 @@ class ExportTool(Algorithm[p.Parameters]):
         return [context.require_project().folder / ASSETS_FILE] if has_features else []
 
     def _default_target(self, layer: str) -> str:
-        own = self.exporter.target
-        if own and layer == layers_of(self.exporter)[0]:
+        own, first = self.exporter.target, layers_of(self.exporter)[0]
+        if own and layer == first:
             return own
-        return Path(layer).stem + self.exporter.suffix
+        # folders of several formats would have one name without what follows the layer's
+        ending = own.removeprefix(first) if own.startswith(f"{first}_") else self.exporter.suffix
+        return Path(layer).stem + ending
+
+
+def _result(report: ExportReport, target: Path | None = None) -> Result:
+    """What the tool gives back; no outputs where there is no file."""
+    summary: dict[str, Any] = {
+        "crs": report.crs,
+        "height_kind": report.height_kind,
+        "features": report.features,
+    }
+    if target is None:
+        return Result(summary=summary | {"place": report.place}, warnings=tuple(report.warnings))
+    summary["products"] = [str(target)]
+    return Result(outputs={"target": target}, summary=summary, warnings=tuple(report.warnings))
 
 
 def _write_safely(
@@ -336,13 +370,20 @@ def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:
     shared: dict[str, Any] = {
         "layer": (
             p.Text,
-            p.text(layers[0], title="Layer", help=f"One of {', '.join(layers)}, or a file."),
-        ),
-        "target": (
-            p.File | None,
-            p.file(None, title="File to write", writes=True, suffixes=(exporter.suffix,)),
+            p.text(
+                layers[0],
+                title="Layer",
+                help=f"One of {', '.join(layers)}, or a file.",
+                suggestions=layers,
+            ),
         ),
     }
+    sends = issubclass(exporter, Sender)
+    if not sends:
+        shared["target"] = (
+            p.File | None,
+            p.file(None, title="File to write", writes=True, suffixes=(exporter.suffix,)),
+        )
     model = create_model(f"Export{exporter.__name__}", __base__=exporter.Options, **shared)
     return type(
         f"Export{exporter.__name__}",
@@ -355,7 +396,7 @@ def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:
             "group": "export",
             "Parameters": model,
             "exporter": exporter,
-            "outputs": (Output(name="target", title=exporter.name),),
+            "outputs": () if sends else (Output(name="target", title=exporter.name),),
             "needs": exporter.needs,
             "wants": exporter.wants,
             "in_run": exporter.in_run,

@@ -206,11 +206,12 @@ def integer(
 
 
 def text(
-    default: Any = ..., *, title: str, help: str = "", advanced: bool = False,
-    positional: bool = False,
+    default: Any = ..., *, title: str, help: str = "", suggestions: tuple[str, ...] = (),
+    advanced: bool = False, positional: bool = False,
 ) -> Any:  # fmt: skip
-    """Field of a `Text`."""
-    return _field("Text", default, title, help, advanced=advanced, positional=positional)
+    """Field of a `Text`; `suggestions` are offered as a list, other texts are allowed too."""
+    return _field("Text", default, title, help, suggestions=suggestions, advanced=advanced,
+                  positional=positional)  # fmt: skip
 
 
 def flag(default: Any = False, *, title: str, help: str = "", advanced: bool = False) -> Any:

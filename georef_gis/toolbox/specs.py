@@ -32,7 +32,10 @@ class Kind:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:
-    """Declaration of one parameter; `default` and limits are in `unit`."""
+    """Declaration of one parameter; `default` and limits are in `unit`.
+
+    Other values than the `suggestions` are allowed, other ones than the `choices` are not.
+    """
 
     name: str
     kind: str
@@ -48,6 +51,7 @@ class Spec:
     gt: float | None = None
     lt: float | None = None
     choices: tuple[str, ...] = ()
+    suggestions: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
     of: str = ""
     advanced: bool = False
@@ -116,6 +120,7 @@ class Spec:
             "above": self.gt,
             "below": self.lt,
             "choices": list(self.choices),
+            "suggestions": list(self.suggestions),
             "suffixes": list(self.suffixes),
             "of": self.of,
             "multiple": self.multiple,
@@ -138,6 +143,8 @@ class Spec:
         one |= {key: value for key, value in limits.items() if value is not None}
         if self.choices:
             one["enum"] = list(self.choices)
+        if self.suggestions:
+            one["examples"] = list(self.suggestions)
         schema = (
             {"type": "array", "items": one} if self.multiple or self.kind == "PhotoSet" else one
         )

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 # Probability that the ellipse of an asset holds the truth.
 CONF = 0.95
+# by how little they rest on
+_METHODS = ("locate", "intersect", "intersect_ground")
 _COLUMNS = ("class", "photo", "u", "v")
-_OWN = {*_COLUMNS, "asset", "vertex", "sigma_px", "note"}
+_OWN = {*_COLUMNS, "asset", "vertex", "sigma_px", "shared_px", "ground", "note"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +48,10 @@ class Clicked:
 def read_clicks(path: Path, domain: Domain) -> list[Clicked]:
     """Assets of a CSV: class, photo, u, v, and if wanted asset, vertex, sigma_px, note, attributes.
 
-    Lines with one `asset` are clicks of one asset; a line without is an asset of its own. Vertices
-    count from 1; where the column is missing, the clicks of a line or an area in one photo are its
-    vertices in turn, and those of a point all show it.
+    Columns shared_px and ground are those of a table of marks. Lines with one `asset` are clicks of
+    one asset; a line without is an asset of its own. Vertices count from 1; where the column is
+    missing, the clicks of a line or an area in one photo are its vertices in turn, and those of a
+    point all show it.
 
     Raises
     ------
@@ -116,6 +119,7 @@ def _clicked(rows: Sequence[Any], domain: Domain) -> Clicked:
 
 
 def _clicks(rows: Sequence[Any], *, is_point: bool) -> tuple[Click, ...]:
+    from georef_gis.ingest.control_tables import on_ground, shared_of
     from georef_gis.measure.assets.asset import Click
 
     out: list[Click] = []
@@ -133,6 +137,8 @@ def _clicks(rows: Sequence[Any], *, is_point: bool) -> tuple[Click, ...]:
                 v=row.required("v"),
                 vertex=int(vertex),
                 sigma_px=row.number("sigma_px"),
+                shared_px=shared_of(row),
+                on_ground=on_ground(row),
             )
         )
     vertices = sorted({click.vertex for click in out})
@@ -160,28 +166,45 @@ def measure_clicked(
 ) -> list[MeasuredDraft]:
     """Assets with their places; vertices in one photo by the ground, others by their rays.
 
+    One whose photo is not known is refused, the others are measured.
+
     Parameters
     ----------
     sigma_px
-        One sigma of a click that states none, px.
+        One sigma of a click that states none, px; it is kept with the click, so that the asset is
+        measured again as it was.
 
     Raises
     ------
     InputError
-        If a photo is not known.
+        If one has two clicks in a photo.
     """
-    known = [_with_ids(session, one) for one in clicked]
-    marks = [m for k, one in enumerate(known) for m in _marks(k, one.clicks, sigma_px)]
+    known = [_with_ids(session, _sure(one, sigma_px)) for one in clicked]
+    marks = [
+        mark
+        for k, one in enumerate(known)
+        if isinstance(one, Clicked)
+        for mark in _marks(k, one.clicks, sigma_px)
+    ]
     points = session.measure(marks, on_fail="skip")
     at = {name: i for i, name in enumerate(points.names)}
-    return [_draft(points, at, k, one) for k, one in enumerate(known)]
+    return [
+        _draft(points, at, k, one) if isinstance(one, Clicked) else one
+        for k, one in enumerate(known)
+    ]
 
 
-def _with_ids(session: MeasureSession, one: Clicked) -> Clicked:
+def _sure(one: Clicked, sigma_px: float) -> Clicked:
+    clicks = (replace(c, sigma_px=sigma_px) if c.sigma_px is None else c for c in one.clicks)
+    return replace(one, clicks=tuple(clicks))
+
+
+def _with_ids(session: MeasureSession, one: Clicked) -> Clicked | MeasuredDraft:
+    """Asset with the ids of its photos; or why it has no place, where one is not there."""
     try:
         clicks = tuple(replace(c, photo_id=session.photo_id(c.photo_id)) for c in one.clicks)
     except InputError as error:
-        raise InputError(str(error), source=one.source) from error
+        return MeasuredDraft(clicked=one, draft=None, refused=str(error))
     seen: set[tuple[str, int]] = set()
     for click in clicks:
         if (click.photo_id, click.vertex) in seen:
@@ -195,18 +218,22 @@ def _with_ids(session: MeasureSession, one: Clicked) -> Clicked:
 
 
 def _marks(number: int, clicks: Sequence[Click], sigma_px: float) -> list[Mark]:
+    return [mark_of(_point_name(number, click.vertex), click, sigma_px) for click in clicks]
+
+
+def mark_of(name: str, click: Click, sigma_px: float) -> Mark:
+    """A click as what is measured; `sigma_px` where it states none, px."""
     from georef_gis.model.control import Mark
 
-    return [
-        Mark(
-            name=_point_name(number, click.vertex),
-            photo=click.photo_id,
-            u=click.u,
-            v=click.v,
-            sigma_px=sigma_px if click.sigma_px is None else click.sigma_px,
-        )
-        for click in clicks
-    ]
+    return Mark(
+        name=name,
+        photo=click.photo_id,
+        u=click.u,
+        v=click.v,
+        sigma_px=sigma_px if click.sigma_px is None else click.sigma_px,
+        shared_px=click.shared_px,
+        on_ground=click.on_ground,
+    )
 
 
 def _point_name(number: int, vertex: int) -> str:
@@ -269,7 +296,8 @@ def measured_quality(
         conf=CONF,
         dof=min(point.dof for point in each),
         n_rays=min(point.n_rays for point in each),
-        method="locate" if any(p.method == "locate" for p in each) else "intersect",
+        # of its vertices the way that rests on least
+        method=min((p.method for p in each), key=_METHODS.index),
         clicks=tuple(clicks),
     )
 

@@ -12,6 +12,7 @@ from georef_gis.errors import InputError
 from georef_gis.frames import Array
 from georef_gis.measure.ellipses import grid_axes
 from processing_algorithms.assets.asset_clicks import is_clicked, remeasured_points
+from processing_algorithms.assets.asset_photos import lost_photos
 
 if TYPE_CHECKING:
     from georef_gis.geodesy import MapFrame
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 _SAME = 0.005
 JOINT = "joint, from the clicks"
 APART = (
-    "without what they share for {n} of {all} assets that have no clicks: their distances come out "
-    "less sure than they are"
+    "without what they share for {n} of {all} assets that have no clicks in photos of the project: "
+    "their distances come out less sure than they are"
 )
 
 
@@ -69,8 +70,10 @@ def joint_places(
         If an asset has neither clicks nor an accuracy.
     """
     _check(assets, str(project.folder))
-    clicked = [asset for asset in assets if is_clicked(asset)]
-    apart = [asset for asset in assets if not is_clicked(asset)]
+    known = {str(row["photo_id"]) for row in project.database.rows("photo")}
+    clicked = [a for a in assets if is_clicked(a) and not lost_photos(a, known)]
+    joint_ids = {a.id for a in clicked}
+    apart = [a for a in assets if a.id not in joint_ids]
     p_stored = {asset.id: _stored(frame, asset) for asset in assets}
     names, indices, count = [], {}, 0
     for asset in (*clicked, *apart):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 COLUMNS = (
     "asset_id", "class", "name", "easting", "northing", "height_ellipsoidal_m", "vertices",
     "sigma_e_m", "sigma_n_m", "sigma_u_m", "corr_en", "semi_major_m", "semi_minor_m",
-    "azimuth_deg", "conf", "dof", "n_rays", "method", "photos", "pixels", "attributes", "note",
-    "revision", "created", "changed", "problems",
+    "azimuth_deg", "conf", "dof", "n_rays", "method", "photos", "pixels", "sigma_px",
+    "attributes", "note", "revision", "created", "changed", "problems",
 )  # fmt: skip
 # Doubts of single assets that are told, before the rest is counted.
 _MOST_TOLD = 10
@@ -86,7 +86,8 @@ class Assets(Algorithm[AssetsParameters]):
             assets = store.assets()
             outputs = {"layers": store.path}
         _tell_problems(assets, feedback)
-        outputs["table"] = _write_table(project, parameters.target, assets)
+        lost = _lost(project, assets, feedback)
+        outputs["table"] = _write_table(project, parameters.target, assets, lost)
         if session is not None and parameters.thumbnails:
             outputs["thumbnails"] = _pictures(project, session, assets, feedback)
         kinds: dict[str, int] = {}
@@ -110,7 +111,8 @@ def _turn(store: AssetStore, which: str, count: int, feedback: Feedback) -> int:
     for k in range(count):
         step = store.undo() if which == "undo" else store.redo()
         if step is None:
-            feedback.warn(f"there were only {k} steps to {which}")
+            only = f"there {'was' if k == 1 else 'were'} only {k} step{'s' * (k != 1)} to {which}"
+            feedback.warn(only if k else f"nothing to {which}")
             return k
         feedback.info(f"{which}: {step.title} ({len(step.asset_ids)} assets, {step.at})")
     return count
@@ -172,18 +174,28 @@ def _remeasure(
 ) -> int:
     from georef_gis.measure.assets.store import Change
     from processing_algorithms.assets.asset_clicks import remeasured
+    from processing_algorithms.assets.asset_photos import lost_photos
 
     found = remeasured(session, store.assets(), sigma_px=parameters.click)
-    _tell([one for _, one in found], feedback)
-    count = 0
+    known = _photo_ids(session.project)
+    # Those of photos that are gone are told in one line, with the assets as they are in the end.
+    _tell([one for asset, one in found if not lost_photos(asset, known)], feedback)
+    placed = [(asset, one.draft) for asset, one in found if one.draft is not None]
+    if len(placed) < len(found):
+        left = len(found) - len(placed)
+        feedback.warn(
+            f"{left} of {len(found)} clicked assets {'stays' if left == 1 else 'stay'} as "
+            f"{'it is' if left == 1 else 'they are'}; the others were measured again"
+            if placed else f"none of {len(found)} clicked assets could be measured again; all stay "
+            "as they are"
+        )  # fmt: skip
+    if not placed:
+        return 0
     with store.step("measure again"):
-        for asset, one in found:
-            if one.draft is None:
-                continue
-            change = Change(vertices=one.draft.vertices, quality=one.draft.quality)
+        for asset, draft in placed:
+            change = Change(vertices=draft.vertices, quality=draft.quality)
             store.change(asset.id, asset.revision, change)
-            count += 1
-    return count
+    return len(placed)
 
 
 def _tell(measured: Sequence[MeasuredDraft], feedback: Feedback) -> None:
@@ -213,12 +225,31 @@ def _tell_problems(assets: Sequence[Asset], feedback: Feedback) -> None:
         feedback.warn(f"{problem} [{', '.join(names[:_MOST_NAMES])}{more}]")
 
 
-def _write_table(project: Project, target: Path | None, assets: Sequence[Asset]) -> Path:
+def _lost(project: Project, assets: Sequence[Asset], feedback: Feedback) -> dict[str, str]:
+    """What is said, by id, of assets that were clicked in photos which are gone."""
+    from processing_algorithms.assets.asset_photos import lost_lines, lost_photos, lost_words
+
+    known = _photo_ids(project)
+    for line in lost_lines(assets, known):
+        feedback.warn(line)
+    return {a.id: lost_words(gone) for a in assets if (gone := lost_photos(a, known))}
+
+
+def _photo_ids(project: Project) -> set[str]:
+    return {str(row["photo_id"]) for row in project.database.rows("photo")}
+
+
+def _write_table(
+    project: Project, target: Path | None, assets: Sequence[Asset], lost: Mapping[str, str]
+) -> Path:
     from processing_algorithms.measure.point_table import write_rows
 
     path = target or project.products / "assets.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     rows = [asset_row(asset) for asset in assets]
+    for row in rows:
+        told = (row["problems"], lost.get(row["asset_id"], ""))
+        row["problems"] = "; ".join(filter(None, told))
     if path.suffix.lower() != ".json":
         rows = [{name: _no_formula(value) for name, value in row.items()} for row in rows]
     write_rows(path, rows, COLUMNS)
@@ -257,6 +288,7 @@ def asset_row(asset: Asset) -> dict[str, Any]:
         "method": q.method,
         "photos": ";".join(q.photo_ids),
         "pixels": ";".join(f"{c.u:.2f},{c.v:.2f}" for c in q.clicks),
+        "sigma_px": ";".join(f"{c.sigma_px:.3g}" if c.sigma_px else "" for c in q.clicks),
         "attributes": json.dumps(dict(asset.attributes), ensure_ascii=False),
         "note": asset.note,
         "revision": asset.revision,

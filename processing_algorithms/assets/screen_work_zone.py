@@ -36,6 +36,7 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
         Output(name="text", title="Account of the screening"),
         Output(name="table", title="Findings as CSV"),
         Output(name="json", title="Findings as JSON"),
+        Output(name="zone", title="File to fill in, where there was none"),
     )
 
     def run(
@@ -43,7 +44,6 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
     ) -> Result:
         """Screen."""
         from georef_gis.errors import InputError
-        from georef_gis.measure.workzone.rules import load_rules
         from georef_gis.measure.workzone.screening import screen
         from georef_gis.measure.workzone.told import (
             DISCLAIMER,
@@ -51,22 +51,27 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
             finding_rows,
             screening_text,
         )
-        from processing_algorithms.assets.zone_input import (
-            zone_assets,
-            zone_checks,
-            zone_settings,
-        )
+        from georef_gis.measure.workzone.zone_settings import read_zone
+        from processing_algorithms.assets.zone_file import write_zone_file, zone_path
+        from processing_algorithms.assets.zone_input import zone_assets, zone_checks, zone_rules
+        from processing_algorithms.assets.zone_travel import travel_doubts
 
         project = context.require_project()
-        zone = zone_settings(project, parameters.zone)
+        path = zone_path(project, parameters.zone)
+        if not path.is_file():
+            return write_zone_file(project, path, feedback)
+        zone = read_zone(path)
         zone.check_screening()
-        rules = load_rules(zone.rules, folder=Path(zone.source).parent)
+        rules = zone_rules(zone)
         found = zone_assets(project, zone, sigma_px=parameters.click)
-        for doubt in found.places.doubts:
+        askew = travel_doubts(zone, found, [taper for _, taper in zone.signs])
+        for doubt in (*found.places.doubts, *askew):
             feedback.warn(doubt)
         try:
             findings = screen(zone_checks(zone, found), found.measured, rules)
         except InputError as error:
+            if error.source == zone.source:
+                raise
             raise InputError(str(error), source=zone.source) from error
         text = screening_text(findings, rules, zone.speed_mph or 0.0, found.places.basis)
         for line in text.splitlines():

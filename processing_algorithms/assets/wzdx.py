@@ -47,6 +47,7 @@ class Wzdx(Algorithm[WzdxParameters]):
     outputs = (
         Output(name="feed", title="WZDx work zone feed", type="VectorLayer"),
         Output(name="accuracy", title="Accuracy of its positions"),
+        Output(name="zone", title="File to fill in, where there was none"),
     )
 
     def run(self, context: Context, parameters: WzdxParameters, feedback: Feedback) -> Result:
@@ -57,19 +58,34 @@ class Wzdx(Algorithm[WzdxParameters]):
             stated_width,
             wzdx_settings,
         )
-        from processing_algorithms.assets.zone_input import zone_assets, zone_settings
+        from georef_gis.measure.workzone.wzdx_direction import direction_doubts
+        from georef_gis.measure.workzone.zone_settings import read_zone
+        from processing_algorithms.assets.zone_file import write_zone_file, zone_path
+        from processing_algorithms.assets.zone_input import zone_assets
+        from processing_algorithms.assets.zone_travel import travel_doubts
 
         project = context.require_project()
-        zone = zone_settings(project, parameters.zone)
+        path = zone_path(project, parameters.zone)
+        if not path.is_file():
+            return write_zone_file(project, path, feedback)
+        zone = read_zone(path)
         lines = _lines(zone)
         if not lines:
             # refused with all that is missing, before any device is looked for
             wzdx_settings(zone.wzdx, zone.source)
         found = zone_assets(project, zone, more=lines, sigma_px=parameters.click)
         settings = _settings(zone, found, lines)
-        for doubt in (*found.places.doubts, *_gaps(found, settings.lines)):
-            feedback.warn(doubt)
         places, widths = _places(found, settings, zone), _widths(zone, found)
+        doubts = (
+            *found.places.doubts,
+            *_gaps(found, settings.lines),
+            *travel_doubts(zone, found, settings.lines),
+            *_sign_doubts(zone, found),
+            *_impact_doubts(zone, found, settings),
+            *direction_doubts(settings, places),
+        )
+        for doubt in doubts:
+            feedback.warn(doubt)
         unsure = [width for width in widths if stated_width(width) <= 0.0]
         for width in unsure:
             feedback.warn(
@@ -161,14 +177,47 @@ def _gaps(found: ZoneAssets, lines: list[str]) -> list[str]:
     return out
 
 
+def _sign_doubts(zone: ZoneSettings, found: ZoneAssets) -> list[str]:
+    """Signs that do not stand before their taper; refused if `travel` is the cause.
+
+    Raises
+    ------
+    InputError
+        If all signs fit another `travel`: the feed would run from its end to its beginning.
+    """
+    from georef_gis.errors import InputError
+    from processing_algorithms.assets.zone_travel import TRAVEL, sign_checks
+
+    try:
+        sign_checks(zone, found)
+    except InputError as error:
+        if error.field == TRAVEL:
+            raise
+        return [str(error)]
+    return []
+
+
+def _impact_doubts(zone: ZoneSettings, found: ZoneAssets, settings: WzdxSettings) -> list[str]:
+    """A stated side of merging that the taper does not have."""
+    from georef_gis.measure.workzone.wzdx import suggested_impact
+    from processing_algorithms.assets.zone_input import offset_to_left
+
+    stated, offset = settings.values["vehicle_impact"], offset_to_left(zone, found, settings.lines)
+    if offset is None or stated != suggested_impact(-offset):
+        return []
+    return [
+        f"wzdx.vehicle_impact: '{stated}', but the devices of the taper lead to the "
+        f"{'left' if offset > 0 else 'right'}: {suggested_impact(offset)}? correct it"
+    ]
+
+
 def _widths(zone: ZoneSettings, found: ZoneAssets) -> list[Finding]:
     """Of each lane whose width is to be stated, the narrowest device."""
-    from georef_gis.measure.workzone.rules import load_rules
     from georef_gis.measure.workzone.screening import ZoneChecks, screen
     from georef_gis.measure.workzone.wzdx import certain_width
-    from processing_algorithms.assets.zone_input import lane_check
+    from processing_algorithms.assets.zone_input import lane_check, zone_rules
 
-    rules = load_rules(zone.rules, folder=Path(zone.source).parent)
+    rules = zone_rules(zone)
     out = []
     for lane in zone.lanes:
         if lane.reduced_width:

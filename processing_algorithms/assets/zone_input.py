@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import math
-import uuid
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from georef_gis.errors import InputError
 from georef_gis.measure.assets.asset import Asset
 from georef_gis.measure.assets.domain import Domain
 from georef_gis.measure.workzone.geometry import Measured, along_and_offset, order_along
+from georef_gis.measure.workzone.rules import Rules, load_rules
 from georef_gis.measure.workzone.screening import (
     LaneCheck,
-    SignCheck,
     TangentCheck,
     TaperCheck,
     ZoneChecks,
 )
-from georef_gis.measure.workzone.zone_settings import (
-    ZONE_FILE,
-    LaneSettings,
-    TaperSettings,
-    ZoneSettings,
-    read_zone,
-    zone_template,
-)
+from georef_gis.measure.workzone.zone_settings import LaneSettings, TaperSettings, ZoneSettings
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 from processing_algorithms.assets.asset_places import JointPlaces, joint_places
+from processing_algorithms.assets.zone_travel import faces, sign_checks
 
 if TYPE_CHECKING:
     from georef_gis.geodesy import MapFrame
@@ -53,6 +43,8 @@ class ZoneAssets:
         Devices by line, in the order of the row.
     directed
         Lines whose first device is known to be the first that drivers meet.
+    by_order
+        Those of them that the attribute `order` of their devices tells.
     signs
         By line.
     edges
@@ -64,6 +56,7 @@ class ZoneAssets:
     measured: Measured
     lines: dict[str, tuple[Asset, ...]]
     directed: frozenset[str]
+    by_order: frozenset[str]
     signs: dict[str, tuple[Asset, ...]]
     edges: dict[str, Asset]
 
@@ -74,36 +67,6 @@ class ZoneAssets:
     def edge(self, name: str) -> tuple[int, ...]:
         """Indices of the vertices of an edge; none for no name."""
         return self.places.indices[self.edges[name].id] if name else ()
-
-
-def zone_settings(project: Project, given: Path | None) -> ZoneSettings:
-    """Settings of a zone; where there are none, a file to fill in is written and named.
-
-    Raises
-    ------
-    InputError
-        If there was none, or it cannot be used.
-    """
-    from georef_gis.measure.assets.store import AssetStore
-    from georef_gis.rasters.files import export_errors, resolve_target, whole_file
-
-    path = given or project.folder / ZONE_FILE
-    if path.is_file():
-        return read_zone(path)
-    with AssetStore.of_project(project) as store:
-        assets, domain = store.assets(), store.domain
-    devices, signs = (
-        Counter(_line(a) for a in assets if a.kind in domain.in_group(group) and _line(a))
-        for group in (DEVICES, SIGNS)
-    )
-    edges = [asset.name for asset in assets if asset.shape == "line" and asset.name]
-    text = zone_template(
-        event_id=str(uuid.uuid4()), devices=devices, signs=signs, edges=edges
-    ).encode()
-    with export_errors(path, lambda: len(text)), whole_file(resolve_target(path)) as stream:
-        stream.write(text)
-    raise InputError("there was none; it was written now with what there is to say: fill it in and "
-                     "run again", source=str(path))  # fmt: skip
 
 
 def zone_assets(
@@ -142,16 +105,22 @@ def zone_assets(
     frame = load_frame(project.database)
     places = joint_places(project, frame, list(used.values()), sigma_px=sigma_px)
     measured = Measured.of(places.names, places.p_enu, places.covariance)
-    lines, directed = {}, set()
-    for name, row in rows.items():
-        lines[name], is_directed = _ordered(row, places, zone.travel)
-        if is_directed:
-            directed.add(name)
-    return ZoneAssets(frame=frame, places=places, measured=measured, lines=lines,
-                      directed=frozenset(directed), signs=signs, edges=edges)  # fmt: skip
+    by_order = frozenset(name for name, row in rows.items() if _orders(row) is not None)
+    lines = {name: _ordered(row, places, zone.travel) for name, row in rows.items()}
+    return ZoneAssets(
+        frame=frame,
+        places=places,
+        measured=measured,
+        lines=lines,
+        directed=by_order if zone.travel is None else frozenset(lines),
+        by_order=by_order,
+        signs=signs,
+        edges=edges,
+    )
 
 
-def _line(asset: Asset) -> str:
+def line_of(asset: Asset) -> str:
+    """Line that an asset belongs to; '' for none."""
     return str(asset.attributes.get("line") or "")
 
 
@@ -160,10 +129,10 @@ def _of_line(
 ) -> tuple[Asset, ...]:
     kinds = domain.in_group(group)
     found = tuple(
-        a for a in assets if a.kind in kinds and a.shape == "point" and _line(a) == name
+        a for a in assets if a.kind in kinds and a.shape == "point" and line_of(a) == name
     )  # fmt: skip
     if not found:
-        there = sorted({_line(a) for a in assets if a.kind in kinds and _line(a)})
+        there = sorted({line_of(a) for a in assets if a.kind in kinds and line_of(a)})
         raise InputError(
             f"no {group} belongs to line '{name[:40]}'; "
             f"there are {', '.join(there[:10]) or 'none'}",
@@ -174,28 +143,50 @@ def _of_line(
 
 def _edge(assets: Sequence[Asset], name: str, source: str) -> Asset:
     found = [a for a in assets if a.shape == "line" and a.name == name]
-    if len(found) != 1:
+    if not found:
+        there = sorted({a.name for a in assets if a.shape == "line" and a.name})
+        raise InputError(f"no line asset is called '{name[:40]}'; "
+                         f"there are {', '.join(there[:10]) or 'none'}", source=source,
+                         field="edge")  # fmt: skip
+    if len(found) > 1:
         raise InputError(f"{len(found)} line assets are called '{name[:40]}'; the edge must be one",
                          source=source, field="edge")  # fmt: skip
     return found[0]
 
 
+def _orders(row: tuple[Asset, ...]) -> list[int] | None:
+    """Attribute `order` of the devices, if all have one of their own."""
+    orders = [asset.attributes.get("order") for asset in row]
+    numbers = [order for order in orders if isinstance(order, int)]
+    return numbers if len(set(numbers)) == len(row) else None
+
+
 def _ordered(
     row: tuple[Asset, ...], places: JointPlaces, travel: float | None
-) -> tuple[tuple[Asset, ...], bool]:
-    """Devices in their order, and whether that is known to be the way of the traffic."""
-    orders = [asset.attributes.get("order") for asset in row]
-    if all(isinstance(order, int) for order in orders) and len(set(orders)) == len(orders):
+) -> tuple[Asset, ...]:
+    """Devices in their order, from the first that drivers meet if that is known."""
+    if (orders := _orders(row)) is not None:
         by_order = sorted(zip(orders, range(len(row)), strict=True))
-        return tuple(row[k] for _, k in by_order), True
+        return tuple(row[k] for _, k in by_order)
     xy = places.p_enu[[places.indices[asset.id][0] for asset in row], :2]
     way = order_along(xy)
-    if travel is None:
-        return tuple(row[k] for k in way), False
-    towards = np.array([math.sin(math.radians(travel)), math.cos(math.radians(travel))])
-    if (xy[way[-1]] - xy[way[0]]) @ towards < 0.0:
+    if travel is not None and not faces(xy[way[0]], xy[way[-1]], travel):
         way.reverse()
-    return tuple(row[k] for k in way), True
+    return tuple(row[k] for k in way)
+
+
+def zone_rules(zone: ZoneSettings) -> Rules:
+    """Figures that a zone is screened against.
+
+    Raises
+    ------
+    InputError
+        If there are none of that name, with the file of the settings.
+    """
+    try:
+        return load_rules(zone.rules, folder=Path(zone.source).parent)
+    except InputError as error:
+        raise InputError(str(error), source=zone.source) from error
 
 
 # -- what is to be screened ----------------------------------------------------------------------
@@ -209,7 +200,7 @@ def zone_checks(zone: ZoneSettings, found: ZoneAssets) -> ZoneChecks:
         tapers=tuple(_taper(one, found) for one in zone.tapers),
         tangents=tuple(TangentCheck(name=n, devices=found.devices(n)) for n in zone.tangents),
         lanes=tuple(lane_check(one, found) for one in zone.lanes),
-        signs=tuple(_signs(*one, found) for one in zone.signs),
+        signs=sign_checks(zone, found),
     )
 
 
@@ -236,30 +227,6 @@ def lane_check(one: LaneSettings, found: ZoneAssets) -> LaneCheck:
         half_widths=tuple(half),
         least=one.least,
     )
-
-
-def _signs(line: str, taper: str, found: ZoneAssets) -> SignCheck:
-    """Signs from the taper outwards; it begins at its first device, or where they are nearest.
-
-    Raises
-    ------
-    InputError
-        If a sign is known to stand behind the beginning of the taper.
-    """
-    signs = [found.places.indices[asset.id][0] for asset in found.signs[line]]
-    devices, xy = found.devices(taper), found.measured.xy
-    middle = xy[signs].mean(axis=0)
-    ends = devices[:1] if taper in found.directed else (devices[0], devices[-1])
-    start = min(ends, key=lambda i: float(np.linalg.norm(xy[i] - middle)))
-    behind = [found.measured.names[i] for i in signs
-              if (xy[i] - xy[start]) @ (xy[devices[-1]] - xy[start]) > 0.0]  # fmt: skip
-    if behind and taper in found.directed:
-        raise InputError(
-            f"line {line} has signs behind the beginning of {taper} ({', '.join(behind[:5])}); it "
-            "is for advance warning: give other signs another line, or none"
-        )
-    signs.sort(key=lambda i: float(np.linalg.norm(xy[i] - xy[start])))
-    return SignCheck(name=line, signs=tuple(signs), start=start)
 
 
 def offset_to_left(zone: ZoneSettings, found: ZoneAssets, lines: Sequence[str]) -> float | None:

@@ -42,6 +42,7 @@ class ReadPhotos(Algorithm[p.Parameters]):
         """Read them."""
         from georef_gis.ingest.cameras import CameraOverride
         from georef_gis.ingest.photos import read_photos
+        from processing_algorithms.assets.asset_photos import lost_doubts
         from processing_algorithms.ingest.outliers import without_strays
 
         project = context.require_project()
@@ -65,17 +66,50 @@ class ReadPhotos(Algorithm[p.Parameters]):
         frame = _frame(project, photos)
         doubts = [*(str(error) for _, error in result.refused), *strays, *doubts, *result.doubts]
         doubts += [doubt for photo in photos for doubt in photo.doubts]
+        known = {photo.id for photo in photos}
+        gone = _gone(project, known)
+        _save(project, frame, photos, result.cameras)
+        # First: an end that is cut off must not hide them.
+        doubts = [*_gone_doubts(gone), *lost_doubts(project, known), *doubts]
         for doubt in doubts:
             feedback.warn(doubt)
-        _save(project, frame, photos, result.cameras)
         summary = {
             "photos": len(photos),
             "refused": refused,
+            "gone": len(gone),
             "cameras": {c.id: f"f = {c.fx:.0f} px ({c.source})" for c in result.cameras.values()},
             "crs": frame.crs.name,
             "doubts": doubts,
         }
         return Result(summary=summary)
+
+
+def _gone(project: Project, known: Set[str]) -> list[str]:
+    """Names of the photos of the last run, not among those of now, whose files are not there."""
+    missing = [row for row in project.database.rows("photo") if row["photo_id"] not in known]
+    if not missing:
+        return []
+    folder = project.path(project.settings.photos.folder)
+    # Excluded ones too.
+    names = {file.name for file in folder.rglob("*")}
+
+    def is_there(path: Path) -> bool:
+        # Where the project was copied or moved, the path is that of another file.
+        return path.is_file() if path.is_relative_to(folder) else path.name in names
+
+    return sorted(str(row["name"]) for row in missing if not is_there(Path(row["path"])))
+
+
+def _gone_doubts(names: Sequence[str]) -> list[str]:
+    from processing_algorithms.assets.asset_photos import named
+
+    if not names:
+        return []
+    count = "1 photo is" if len(names) == 1 else f"{len(names)} photos are"
+    return [
+        f"{count} gone from the folder since the last run: {named(names)}; all is made without "
+        f"{'it' if len(names) == 1 else 'them'}; put back what was not meant to go"
+    ]
 
 
 def _with_pose_file(project: Project, photos: list[Photo]) -> tuple[list[Photo], list[str]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result, check_cancelled
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.marks import CLICK
 
 if TYPE_CHECKING:
     from georef_gis.measure.budget.parts import SourcedErrors
@@ -38,7 +39,7 @@ class ErrorBudgetParameters(p.Parameters):
         None, title="CSV of marks: name, photo, u, v[, sigma_px]; several of a name: one point"
     )
     assets: p.Flag = p.flag(False, title="The assets of the project that were clicked")
-    click: p.Number = p.number(1.0, title="One sigma of a click", unit="px", ge=0, le=100)
+    click: p.Number = p.number(CLICK, title="One sigma of a click", unit="px", ge=0, le=100)
     reduce_to: p.Number = p.number(
         50.0, title="Told: what a source reduced to so much of it brings", unit="%", ge=0, lt=100
     )
@@ -104,8 +105,14 @@ class ErrorBudget(Algorithm[ErrorBudgetParameters]):
 def _marks(
     parameters: ErrorBudgetParameters, session: MeasureSession, feedback: Feedback
 ) -> list[Mark]:
+    from georef_gis.errors import InputError
     from processing_algorithms.measure.marks import marks_of_pixels, read_mark_table
 
+    if parameters.photo is not None and not parameters.pixel:
+        raise InputError(
+            "is that of --pixel u,v, and no pixel is given; the table has every photo",
+            field="photo",
+        )
     out = marks_of_pixels(parameters.pixel, parameters.photo, sigma_px=parameters.click)
     if parameters.marks is not None:
         out += read_mark_table(parameters.marks, feedback)
@@ -124,7 +131,7 @@ def _asset_marks(project: Project, click: float) -> list[Mark]:
     """
     from georef_gis.errors import InputError
     from georef_gis.measure.assets.store import AssetStore
-    from georef_gis.model.control import Mark
+    from processing_algorithms.assets.asset_clicks import mark_of
 
     with AssetStore.of_project(project) as store:
         assets = store.assets()
@@ -133,20 +140,28 @@ def _asset_marks(project: Project, click: float) -> list[Mark]:
         name = asset.name or f"{asset.kind} {asset.id[:8]}"
         for one in asset.quality.clicks if asset.quality is not None else ():
             label = name if len(asset.vertices) == 1 else f"{name}/{one.vertex + 1}"
-            sigma = click if one.sigma_px is None else one.sigma_px
-            out.append(Mark(name=label, photo=one.photo_id, u=one.u, v=one.v, sigma_px=sigma))
+            out.append(mark_of(label, one, click))
     if not out:
-        raise InputError("no asset of the project was clicked in a photo", field="assets")
+        raise InputError(
+            "no asset of the project was clicked in a photo; `georef assets --clicks` takes clicks",
+            field="assets",
+        )
     return out
 
 
 def _of_marks(
     session: MeasureSession, errors: SourcedErrors, marks: list[Mark], feedback: Feedback
 ) -> list[PointBudget]:
+    from georef_gis.errors import GeometryError
     from georef_gis.measure.budget.shares import point_budgets
+    from processing_algorithms.measure.told_points import points_told
 
     points = session.measure(marks, on_fail="skip")
-    for line in points.refused.values():
+    refused = [(name, line.removeprefix(f"{name}: ")) for name, line in points.refused.items()]
+    told = points_told(refused)
+    if told and not len(points):
+        raise GeometryError(f"no point has a place: {told[0]}")
+    for line in told:
         feedback.warn(line)
     return point_budgets(points, errors)
 

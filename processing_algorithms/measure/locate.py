@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.marks import CLICK_TITLE
 
 if TYPE_CHECKING:
     from georef_gis.measure.measured import MeasuredPoints
@@ -23,10 +24,7 @@ class LocateParameters(p.Parameters):
     )
     photo: p.Text | None = p.text(None, title="Photo of pixels that name none")
     marks: p.File | None = p.file(None, title="CSV of marks: name, photo, u, v[, sigma_px]")
-    click: p.Number | None = p.number(
-        None, title="One sigma of every click, px; else the table's or 0.5; of --pixel 1", ge=0,
-        le=100,
-    )  # fmt: skip
+    click: p.Number | None = p.number(None, title=CLICK_TITLE, ge=0, le=100)
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
     skip: p.Flag = p.flag(False, title="Go on without pixels that cannot be located")
     target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
@@ -65,13 +63,17 @@ class Locate(Algorithm[LocateParameters]):
 def warn_doubts(points: MeasuredPoints, feedback: Feedback) -> None:
     """Tell what is doubtful about points; what is said of several, such as of their photo, once."""
     from georef_gis.ingest.control_photos import some_names
+    from georef_gis.measure.on_ground import SURER
 
     of: dict[str, list[str]] = {}
     for name, lines in zip(points.names, points.doubts, strict=True):
         for line in lines:
-            of.setdefault(line, []).append(name)
+            # each says it with figures of its own
+            known = next((k for k in of if line.startswith(SURER) and k.startswith(SURER)), line)
+            of.setdefault(known, []).append(name)
     for line, names in of.items():
-        feedback.warn(f"{some_names(names)}: {line}")
+        more = f"{names[0]}: " if line.startswith(SURER) and len(names) > 1 else ""
+        feedback.warn(f"{some_names(names)}: {more}{line}")
 
 
 def points_result(
@@ -85,7 +87,12 @@ def points_result(
         If all were refused.
     """
     from georef_gis.errors import GeometryError
-    from processing_algorithms.measure.point_table import COLUMNS, point_rows, write_rows
+    from processing_algorithms.measure.point_table import (
+        COLUMNS,
+        click_sigmas,
+        point_rows,
+        write_rows,
+    )
 
     if points.refused and not len(points):
         first = next(iter(points.refused.values()))
@@ -99,6 +106,7 @@ def points_result(
         largest = sorted(row["semi_major_m"] for row in rows)
         summary["semi_major_m_median"] = largest[len(largest) // 2]
         summary["semi_major_m_most"] = largest[-1]
+    summary["click_px"] = click_sigmas(points)
     summary["points"] = rows[:MOST_SHOWN]
     outputs: dict[str, Path] = {}
     if target is not None:

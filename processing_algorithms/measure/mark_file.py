@@ -12,6 +12,8 @@ from pathlib import Path
 from georef_gis.errors import InputError
 
 COLUMNS = ("name", "photo", "u", "v", "sigma_px")
+# what a matched mark has in common with others; one that was clicked anew has nothing
+SHARED = "shared_px"
 _NEEDED = COLUMNS[:4]
 # What a mark is called must survive the file.
 _UNFIT = re.compile(r"[\x00-\x1f\x7f]|^\s|\s$")
@@ -46,7 +48,7 @@ def set_mark(
     if _UNFIT.search(name) or not name:
         raise InputError(f"{name[:40]!r} is no name of a point", field="name")
     header, rows = _read(path)
-    at = {column: header.index(column) for column in COLUMNS if column in header}
+    at = {column: header.index(column) for column in (*COLUMNS, SHARED) if column in header}
 
     def is_same(row: Sequence[str]) -> bool:
         if len(row) < len(header) or row[0].lstrip().startswith("#"):
@@ -66,7 +68,7 @@ def _row(
     sigma_px: float,
 ) -> list[str]:  # fmt: skip
     values = {"name": name, "photo": old[at["photo"]] or photo, "u": f"{uv[0]:.3f}",
-              "v": f"{uv[1]:.3f}", "sigma_px": f"{sigma_px:.2f}"}  # fmt: skip
+              "v": f"{uv[1]:.3f}", "sigma_px": f"{sigma_px:.2f}", SHARED: ""}  # fmt: skip
     new = list(old)
     for column, k in at.items():
         new[k] = values[column]

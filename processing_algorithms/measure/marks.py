@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from georef_gis.toolbox import Feedback
     from georef_gis.toolbox.values import PhotoPixel
 
-# px, one sigma of a click where nothing is said
-CLICK = 1.0
+# px, one sigma of a click where nothing is said, on the command line and in the page alike: that
+# of `model.control`, whose libraries no form should wait for
+CLICK = 0.5
+CLICK_TITLE = f"One sigma of every click, px; else the table's or {CLICK}"
+GROUND = ("on", "free")
 # columns of a table without a header: photo, name, u, v, sigma
 _UNHEADED = 5
 
 
 def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = None) -> list[Mark]:
-    """Marks of a CSV with name, photo, u, v and, if wanted, sigma_px.
+    """Marks of a CSV with name, photo, u, v and, if wanted, sigma_px, shared_px and ground.
 
     Pix4D's and Metashape's tables without a header are read too. Lines that cannot be used are
     told and left out.
@@ -30,7 +33,7 @@ def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = 
     Parameters
     ----------
     sigma_px
-        One sigma of every mark, instead of the table's.
+        One sigma of every click, instead of the table's.
 
     Raises
     ------
@@ -53,7 +56,21 @@ def read_mark_table(path: Path, feedback: Feedback, *, sigma_px: float | None = 
         )
     for line in doubts:
         feedback.warn(line)
-    return marks if sigma_px is None else [replace(mark, sigma_px=sigma_px) for mark in marks]
+    return marks if sigma_px is None else [_clicked_to(mark, sigma_px) for mark in marks]
+
+
+def _clicked_to(mark: Mark, sigma_px: float) -> Mark:
+    """A mark whose click is so sure; of a matched one the click is what it shares with others."""
+    if mark.shared_px > 0.0:
+        return replace(mark, shared_px=sigma_px)
+    return replace(mark, sigma_px=sigma_px)
+
+
+def on_ground(marks: Sequence[Mark], ground: str | None) -> list[Mark]:
+    """Marks that lie on the ground or not, as is said for all; None leaves it as they say."""
+    if ground is None:
+        return list(marks)
+    return [replace(mark, on_ground=ground == "on") for mark in marks]
 
 
 def _without_broken(lines: Lines) -> tuple[Lines, list[str]]:

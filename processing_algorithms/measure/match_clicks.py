@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.marks import CLICK_TITLE
 
 if TYPE_CHECKING:
     from georef_gis.measure.click_match.match import Matched
@@ -14,7 +15,8 @@ if TYPE_CHECKING:
     from processing_algorithms.measure.session import MeasureSession
 
 MARK_COLUMNS = (
-    "name", "photo", "u", "v", "sigma_px", "matched", "sigma_match_px", "quality",
+    "name", "photo", "u", "v", "sigma_px", "shared_px", "ground", "matched", "sigma_match_px",
+    "quality",
 )  # fmt: skip
 _DEFAULT = "matched_marks.csv"
 
@@ -29,10 +31,7 @@ class MatchClicksParameters(p.Parameters):
     marks: p.File | None = p.file(
         None, title="CSV of marks: name, photo, u, v[, sigma_px]; marks of one name are one object"
     )
-    click: p.Number | None = p.number(
-        None, title="One sigma of every click, px; else the table's or 0.5; of --pixel 1", ge=0,
-        le=100,
-    )  # fmt: skip
+    click: p.Number | None = p.number(None, title=CLICK_TITLE, ge=0, le=100)
     into: tuple[p.Text, ...] = p.text((), title="Only into this photo; give it once per photo")
     most: p.Integer = p.integer(8, title="Photos to look in for each object", ge=1, le=100)
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
@@ -117,39 +116,41 @@ def _match_all(
     """
     from georef_gis.errors import GeorefError
     from processing_algorithms.measure.matching import match_marks
+    from processing_algorithms.measure.told_points import points_told
 
     into = [session.photo_id(name) for name in parameters.into] or None
     out: dict[str, Matched] = {}
     failed: list[GeorefError] = []
+    told: list[tuple[str, str]] = []
     for i, (name, marks) in enumerate(objects.items()):
         feedback.progress(i / len(objects), name)
         try:
             out[name] = match_marks(session, marks, photos=into, most=parameters.most)
         except GeorefError as error:
             failed.append(error)
-            feedback.warn(f"{name}: {str(error).removeprefix(f'{name}: ')}")
+            told.append((name, str(error).removeprefix(f"{name}: ")))
             continue
-        _warn(name, out[name], feedback)
+        told += [(name, line) for line in _doubts(out[name])]
+    for line in points_told(told):
+        feedback.warn(line)
     if failed and not out:
         raise failed[0]
     return out
 
 
-def _warn(name: str, found: Matched, feedback: Feedback) -> None:
-    if found.why_not:
-        feedback.warn(f"{name}: not matched: {found.why_not}")
-    doubts = found.place.doubts[0] if found.place else found.before.doubts[0]
-    for line in (*found.doubts, *doubts):
-        feedback.warn(f"{name}: {line}")
+def _doubts(found: Matched) -> list[str]:
+    of_place = found.place.doubts[0] if found.place else found.before.doubts[0]
+    why_not = [f"not matched: {found.why_not}"] if found.why_not else []
+    return [*why_not, *found.doubts, *of_place]
 
 
 def _mark_rows(found: Matched) -> list[dict[str, Any]]:
     """The user's marks of an object, and those that were found."""
-    own = [{**_mark_row(mark, mark.sigma_px), "matched": 0, "sigma_match_px": "", "quality": ""}
-           for mark in found.clicks]  # fmt: skip
+    own = [{**_mark_row(mark), "matched": 0, "sigma_match_px": "", "quality": ""}
+           for mark in found.own or found.clicks]  # fmt: skip
     return own + [
         {
-            **_mark_row(one.mark, one.sigma_kept_px),
+            **_mark_row(one.mark),
             "matched": 1,
             "sigma_match_px": round(one.sigma_px, 3),
             "quality": round(one.quality, 3),
@@ -158,9 +159,10 @@ def _mark_rows(found: Matched) -> list[dict[str, Any]]:
     ]
 
 
-def _mark_row(mark: Mark, sigma_px: float) -> dict[str, Any]:
+def _mark_row(mark: Mark) -> dict[str, Any]:
     return {"name": mark.name, "photo": mark.photo, "u": round(mark.u, 3), "v": round(mark.v, 3),
-            "sigma_px": round(sigma_px, 3)}  # fmt: skip
+            "sigma_px": round(mark.sigma_px, 3), "shared_px": round(mark.shared_px, 3),
+            "ground": "on" if mark.on_ground else "free"}  # fmt: skip
 
 
 def _places(found: dict[str, Matched]) -> MeasuredPoints:
@@ -172,11 +174,13 @@ def _places(found: dict[str, Matched]) -> MeasuredPoints:
 
 def _summary(found: dict[str, Matched], objects: int, rows: list[dict[str, Any]]) -> dict[str, Any]:
     from processing_algorithms.measure.locate import MOST_SHOWN
+    from processing_algorithms.measure.point_table import click_sigmas
 
     matched = [one for one in found.values() if one.matches]
     photos = sorted(len(one.matches) for one in matched)
     return {
         "objects": objects,
+        "click_px": click_sigmas(_places(found)),
         "matched": len(matched),
         "matches": sum(photos),
         "photos_median": photos[len(photos) // 2] if photos else 0,

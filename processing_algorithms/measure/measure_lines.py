@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.marks import CLICK_TITLE
 
 if TYPE_CHECKING:
     from georef_gis.measure.lengths import Leg, Lengths, Quantity
@@ -29,10 +30,7 @@ class MeasureLinesParameters(p.Parameters):
         (), title="Only these points, in this order; give it once per point"
     )
     closed: p.Flag = p.flag(False, title="Back to the first point: perimeter and area")
-    click: p.Number | None = p.number(
-        None, title="One sigma of every click, px; else the table's or 0.5; of --pixel 1", ge=0,
-        le=100,
-    )  # fmt: skip
+    click: p.Number | None = p.number(None, title=CLICK_TITLE, ge=0, le=100)
     target: p.File | None = p.file(None, title="CSV or JSON of the lines to write", writes=True)
 
 
@@ -54,7 +52,11 @@ class MeasureLines(Algorithm[MeasureLinesParameters]):
         """Measure."""
         from processing_algorithms.measure.locate import warn_doubts
         from processing_algorithms.measure.marks import marks_given
-        from processing_algorithms.measure.point_table import check_target, write_rows
+        from processing_algorithms.measure.point_table import (
+            check_target,
+            click_sigmas,
+            write_rows,
+        )
         from processing_algorithms.measure.session import MeasureSession
 
         check_target(parameters.target, parameters.marks)
@@ -68,12 +70,16 @@ class MeasureLines(Algorithm[MeasureLinesParameters]):
         found = session.lines(points, closed=parameters.closed)
         for line in found.told():
             feedback.info(line)
+        clicks = click_sigmas(points)
+        feedback.info(f"clicks taken as good to {clicks} px (one sigma); --click says otherwise")
         rows = [line_row(leg) for leg in found.legs]
         outputs: dict[str, Path] = {}
         if parameters.target is not None:
             write_rows(parameters.target, rows, list(rows[0]))
             outputs["lines"] = parameters.target
-        return Result(outputs=outputs, summary=summary_of(found) | {"lines": rows})
+        return Result(
+            outputs=outputs, summary=summary_of(found) | {"click_px": clicks, "lines": rows}
+        )
 
 
 def _chosen(points: MeasuredPoints, names: Sequence[str]) -> MeasuredPoints:

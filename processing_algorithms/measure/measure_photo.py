@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.marks import CLICK
 
 if TYPE_CHECKING:
     from georef_gis.measure.measured import MeasuredPoints
@@ -32,7 +33,7 @@ class MeasurePhotoParameters(p.Parameters):
         None, title="Heading of the image top, clockwise from north", unit="deg", ge=-360, le=360
     )
     level: p.Flag = p.flag(False, title="Take the camera as looking straight down")
-    click: p.Number = p.number(1.0, title="One sigma of a click, px", ge=0, le=100)
+    click: p.Number = p.number(CLICK, title="One sigma of a click, px", ge=0, le=100)
     target: p.File | None = p.file(None, title="CSV of the points to write", writes=True)
 
 

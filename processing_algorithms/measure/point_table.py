@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 COLUMNS = (
     "name", "method", "photo", "u", "v", "lat_deg", "lon_deg", "easting", "northing",
     "height_ellipsoidal_m", "sigma_e_m", "sigma_n_m", "sigma_u_m", "corr_en", "semi_major_m",
-    "semi_minor_m", "azimuth_deg", "conf", "dof", "n_rays", "sigma0", "photos", "pixels", "doubts",
+    "semi_minor_m", "azimuth_deg", "conf", "dof", "n_rays", "sigma0", "photos", "pixels",
+    "sigma_px", "doubts",
 )  # fmt: skip
 
 
@@ -50,10 +51,19 @@ def point_rows(points: MeasuredPoints, *, conf: float | None = None) -> list[dic
             "sigma0": None if math.isnan(point.sigma0) else round(point.sigma0, 3),
             "photos": ";".join(point.photo_ids),
             "pixels": ";".join(f"{u:.2f},{v:.2f}" for u, v in point.uv),
+            "sigma_px": ";".join(f"{sigma:.3g}" for sigma in point.sigma_px),
             "doubts": "; ".join(point.doubts),
         }
         for point, (lat, lon, _), (e, n, h), C in places
     ]
+
+
+def click_sigmas(points: MeasuredPoints) -> str:
+    """One sigma of the clicks, px, as they were counted; from the least to the largest."""
+    if not len(points.marks.sigma):
+        return ""
+    least, most = float(points.marks.sigma.min()), float(points.marks.sigma.max())
+    return f"{least:.3g}" if least == most else f"{least:.3g} to {most:.3g}"
 
 
 def _clicked(point: MeasuredPoint) -> dict[str, Any]:

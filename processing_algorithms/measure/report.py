@@ -66,8 +66,6 @@ class Report(Algorithm[ReportParameters]):
         from processing_algorithms.site import load_site
 
         project = context.require_project()
-        if parameters.pdf:
-            _require_pdf()
         facts = read_facts(project, quick=context.quick)
         for line in facts.missing:
             feedback.warn(line)
@@ -126,23 +124,20 @@ def _write(target: Path, content: bytes) -> int:
     return len(content)
 
 
-def _require_pdf() -> None:
-    from importlib.util import find_spec
-
-    from georef_gis.errors import InputError
-
-    if find_spec("reportlab") is None:
-        raise InputError(
-            'a PDF needs reportlab, which is not installed; pip install "georef-gis[pdf]"',
-            field="pdf",
-        )
-
-
 def _pdf(
     project: Project, facts: Facts, sections: list[Section], feedback: Feedback
 ) -> tuple[Path, dict[str, Any]]:
-    from georef_gis.measure.report.build import report_pdf
+    """Write the PDF; the page is written by then, whatever fails here.
 
+    Raises
+    ------
+    InputError
+        If the library cannot be used.
+    """
+    from georef_gis.measure.report.build import report_pdf
+    from georef_gis.measure.report.pdf_library import require_reportlab
+
+    require_reportlab(beside=REPORT)
     feedback.progress(0.75, "pdf")
     pdf = report_pdf(facts, sections, made=_now(), versions=_versions())
     if pdf.missing:

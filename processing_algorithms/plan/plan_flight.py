@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # px of blur that a sharp picture may have
 SHARP = 0.7
+# s between two photos that most cameras can keep up
+QUICK = 0.5
 # of the overlap that all photos need so that each place is in three of one line
 LEAST_OVERLAP = 0.6
 
@@ -61,9 +63,9 @@ class PlanFlight(Algorithm[PlanFlightParameters]):
         block = promise(
             lines.plan, camera, sensors, tie_px=parameters.tie_px, control=parameters.control
         )
-        summary = _figures(parameters, lines.plan, camera)
+        summary = _where(lines) | _figures(parameters, lines.plan, camera)
         summary |= _promises(forecast, block)
-        warnings = [*_doubts(parameters, lines.plan, camera), *_unseen(lines.plan)]
+        warnings = [*lines.doubts, *_doubts(parameters, lines.plan, camera), *_unseen(lines.plan)]
         for line in warnings:
             feedback.warn(line)
         if line := advice_line(remedies(forecast.photo())):
@@ -73,6 +75,14 @@ class PlanFlight(Algorithm[PlanFlightParameters]):
 
 
 # -- figures -----------------------------------------------------------------------------------
+
+
+def _where(lines: PlannedLines) -> dict[str, Any]:
+    """Middle of the plan, deg: coordinates that were swapped show there."""
+    if lines.origin is None:
+        return {}
+    lat, lon = math.degrees(lines.origin.lat), math.degrees(lines.origin.lon)
+    return {"middle_lat_deg": round(lat, 5), "middle_lon_deg": round(lon, 5)}
 
 
 def _figures(parameters: PlanFlightParameters, plan: Plan, camera: Camera) -> dict[str, Any]:
@@ -132,11 +142,16 @@ def _doubts(parameters: PlanFlightParameters, plan: Plan, camera: Camera) -> lis
         )
     if len(plan.lines) > 1 and side <= 0.0:
         out.append(f"neighbouring lines do not overlap ({100 * side:.0f} %): the block falls apart")
+    if layout.interval < QUICK:
+        out.append(
+            f"a photo every {layout.interval:.2g} s, faster than most cameras ({QUICK} s): fly "
+            "slower or higher, or with less overlap along lines"
+        )
     blur = layout.blur(parameters.exposure, rate=parameters.rate, focal=camera.fx)
     if blur > SHARP:
         best = parameters.exposure * SHARP / blur
         out.append(
-            f"the picture moves by {blur:.1f} px during an exposure of "
+            f"the picture moves by {blur:.2f} px during an exposure of "
             f"{1000 * parameters.exposure:.3g} ms; {SHARP} px take {1000 * best:.2g} ms or less"
         )
     return out

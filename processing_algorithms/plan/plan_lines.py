@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
+
+from processing_algorithms.plan.plan_place import planned_place
 
 if TYPE_CHECKING:
     from georef_gis.ellipsoid import Origin
@@ -16,6 +18,10 @@ if TYPE_CHECKING:
 
 # Lines and photos of a plan without an area: what is told does not depend on more.
 NOMINAL = (5, 9)
+# width of a sensor by its focal length, from a telescope's to an extreme wide angle's
+WIDTHS = (0.01, 8.0)
+# longer side of a photo by its shorter one
+SIDES = 5.0
 # of the first height: the second one where none is given
 SECOND = 1.3
 
@@ -34,6 +40,11 @@ def planned_camera(parameters: PlanFlightParameters) -> Camera:
     from georef_gis.model.camera import Camera
 
     given = (parameters.focal, parameters.sensor_width, parameters.columns, parameters.rows)
+    if parameters.photo is not None and any(value is not None for value in given):
+        raise InputError(
+            "is described twice: give --photo, or --focal, --sensor-width, --columns and --rows",
+            source="camera",
+        )
     if parameters.photo is not None:
         from georef_gis.ingest.cameras import camera_for
         from georef_gis.ingest.photos import read_photo
@@ -48,6 +59,7 @@ def planned_camera(parameters: PlanFlightParameters) -> Camera:
         )
     else:
         focal, width, columns, rows = (float(v) for v in given if v is not None)
+        _check_camera(focal, width, columns, rows)
         fx = focal / width * columns
         camera = Camera(
             id="camera", width=int(columns), height=int(rows), fx=fx, fy=fx,
@@ -55,6 +67,23 @@ def planned_camera(parameters: PlanFlightParameters) -> Camera:
         )  # fmt: skip
     share = parameters.focal_percent / 100.0
     return replace(camera, sigma_f=share * camera.fx, sigma_c=parameters.centre_px, readout_s=0.0)
+
+
+def _check_camera(focal: float, width: float, columns: float, rows: float) -> None:
+    """Refuse what no camera is, such as millimetres for metres; lengths in m."""
+    from georef_gis.errors import InputError
+
+    if not WIDTHS[0] <= width / focal <= WIDTHS[1]:
+        raise InputError(
+            f"a sensor of {1000 * width:g} mm behind a focal length of {1000 * focal:g} mm is no "
+            "camera for a plan; check the units",
+            source="camera",
+        )
+    if not 1.0 / SIDES <= columns / rows <= SIDES:
+        raise InputError(
+            f"{columns:g} x {rows:g} px is no photo of a frame camera; check --columns and --rows",
+            source="camera",
+        )
 
 
 def planned_sensors(parameters: PlanFlightParameters, camera: Camera) -> Sensors:
@@ -71,11 +100,15 @@ def planned_sensors(parameters: PlanFlightParameters, camera: Camera) -> Sensors
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedLines:
-    """The plan on the plane of an origin; rim of the area, (n, 2) m; None of these without one."""
+    """The plan on the plane of an origin; rim of the area, (n, 2) m; None of these without one.
+
+    `doubts` are about where it lies.
+    """
 
     plan: Plan
     origin: Origin | None
     ring: Array | None
+    doubts: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, parameters: PlanFlightParameters, camera: Camera) -> PlannedLines:
@@ -90,12 +123,13 @@ class PlannedLines:
             plan_corridor,
         )
 
+        _check_unused(parameters)
         layout = layout_of(
             camera, parameters.height, parameters.speed, overlap=parameters.overlap / 100.0,
             sidelap=parameters.sidelap / 100.0, across=parameters.across,
         )  # fmt: skip
-        place = _place(parameters)
-        ring, origin = (_nominal(layout), None) if place is None else place
+        place = planned_place(parameters)
+        ring, origin = (_nominal(layout), None) if place is None else (place.xy, place.origin)
         heading = parameters.heading
         if place is None:
             heading = heading or 0.0
@@ -111,41 +145,27 @@ class PlannedLines:
             lines = (*lines, crossing(area, second, course, first=len(lines) + 1))
             layouts.append(second)
         rim = ring if origin is not None and parameters.line is None else None
-        return cls(plan=Plan(lines=lines, layouts=tuple(layouts)), origin=origin, ring=rim)
+        plan = Plan(lines=lines, layouts=tuple(layouts))
+        doubts = () if place is None else place.doubts
+        return cls(plan=plan, origin=origin, ring=rim, doubts=doubts)
+
+
+def _check_unused(parameters: PlanFlightParameters) -> None:
+    """Refuse what would be ignored in silence."""
+    from georef_gis.errors import InputError
+
+    if parameters.second_height is not None and not parameters.crossed:
+        raise InputError(
+            "is the height of a line across: add --crossed, or leave it out", field="second_height"
+        )
+    if parameters.layer is not None and not (parameters.area or parameters.line):
+        raise InputError("is of no file: give --area or --line, or leave it out", field="layer")
 
 
 def _second(parameters: PlanFlightParameters, layout: Layout) -> Layout:
     from georef_gis.measure.preflight.layout import at_height
 
     return at_height(layout, parameters.second_height or SECOND * parameters.height)
-
-
-def _place(parameters: PlanFlightParameters) -> tuple[Array, Origin] | None:
-    """Corners of the area or places of the line on the plane of an origin amid them; (n, 2) m."""
-    import numpy as np
-
-    from georef_gis.ellipsoid import Origin
-    from georef_gis.errors import InputError
-    from georef_gis.geodesy import parse_crs
-    from processing_algorithms.drawn import drawn
-
-    given = [name for name in ("area", "line", "corner") if getattr(parameters, name)]
-    if not given:
-        return None
-    if len(given) > 1:
-        raise InputError(f"give one of {' and '.join(given)}", source="tool plan_flight")
-    kind: Literal["area", "line"] = "line" if given == ["line"] else "area"
-    shapes = drawn(
-        kind, parameters.line or parameters.area, parameters.corner, parse_crs("EPSG:4326"),
-        layer=parameters.layer,
-    )  # fmt: skip
-    if len(shapes) > 1:
-        raise InputError(f"holds {len(shapes)} {kind}s; plan them one by one", source=given[0])
-    lon_lat = np.radians(shapes[0].vertices)
-    middle = (lon_lat.min(axis=0) + lon_lat.max(axis=0)) / 2.0
-    origin = Origin(lat=float(middle[1]), lon=float(middle[0]), height_ellipsoidal=0.0)
-    geo = np.column_stack([lon_lat[:, 1], lon_lat[:, 0], np.zeros(len(lon_lat))])
-    return origin.enu_from_geo(geo)[:, :2], origin
 
 
 def _nominal(layout: Layout) -> Array:

@@ -258,6 +258,14 @@ class ViewService(Service):
                 self._photos = PhotoTiles()
         return _picture(self._photos.tile(path, request.z, request.x, request.y))
 
+    @call(FactsRequest)
+    def report_state(self, request: FactsRequest) -> dict[str, Any]:
+        """Which report there is, and what is newer than it, in words."""
+        from processing_algorithms.view.report_age import older_than
+
+        revision = file_state(self.project.products / REPORT)
+        return {"revision": revision, "older_than": older_than(self.project) if revision else []}
+
     @picture(FactsRequest)
     def report(self, request: FactsRequest) -> Picture:
         """The report page."""

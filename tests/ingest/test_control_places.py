@@ -207,6 +207,19 @@ def with_marks(*marks: tuple[str, str, float, float]) -> Placed:
     return placed(control(utm(), marks=listed))
 
 
+def test_an_adjustment_is_not_surer_of_matched_marks_for_their_number() -> None:
+    """It takes marks as independent: the click that two of them share counts in each twice."""
+    matched = {"u": 5.0, "v": 5.0, "sigma_px": 0.3, "shared_px": 0.5}
+    marks = (
+        Mark(name="P0", photo="A.JPG", **matched),
+        Mark(name="P0", photo="b.jpg", **matched),
+        Mark(name="P1", photo="A.JPG", u=9.0, v=9.0),
+    )  # fmt: skip
+    found = placed(control(utm(), marks=marks)).observations
+    both = math.hypot(0.3, 0.5 * math.sqrt(2.0))
+    np.testing.assert_allclose(found.sigma_px, [both, both, 0.5])
+
+
 @pytest.mark.parametrize("written", ["A.JPG", "a.jpg", "A", "a.tif", "flight 1/A.JPG", "x\\A.JPG"])
 def test_a_photo_is_found_whatever_folder_case_and_ending(written: str) -> None:
     assert with_marks(("P0", written, 1.0, 2.0)).observations.photo_ids == ("A.JPG",)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from pathlib import Path
 
@@ -263,6 +263,40 @@ def intersected(scene: Scene, flight: SimFlight, rng: np.random.Generator) -> Me
     return intersect_points(scene, marks)
 
 
+def on_the_ground(
+    scene: Scene, flight: SimFlight, rng: np.random.Generator, n: int = 6
+) -> MeasuredPoints:
+    """Places clicked in two photos each, which are said to stand on the ground."""
+    marks = []
+    for i in rng.permutation(len(flight.check.p_true))[:n]:
+        rows = np.flatnonzero(flight.check.point == i)
+        if len(rows) >= 2:
+            chosen = rng.choice(rows, size=2, replace=False)
+            marks += [replace(mark_of(flight, int(k)), on_ground=True) for k in chosen]
+    return intersect_points(scene, marks)
+
+
+def between_both_ways(
+    points: MeasuredPoints, scene: Scene, flight: SimFlight, rng: np.random.Generator
+) -> Measured:
+    """Distances from each place that rays and ground give to one that a photo and the ground do.
+
+    The ground errs alike in both: who forgot that would say these distances wrong.
+    """
+    ids = [int(name[1:]) for name in points.names]
+    alone = []
+    for k in rng.permutation(len(flight.check.photo)):
+        if len(alone) < len(points) and flight.check.point[k] not in ids:
+            alone.append(replace(mark_of(flight, int(k)), name=f"L{flight.check.point[k]}"))
+            ids.append(int(flight.check.point[k]))
+    both = MeasuredPoints.joined(points, locate_points(scene, alone))
+    truth, found, true = truth_of(flight, both), [], []
+    for i, j in zip(range(len(points)), range(len(points), len(both)), strict=False):
+        found.append(measure_lines(both.subset([i, j])).legs[0].ground)
+        true.append(ground_distance(truth[i], truth[j]))
+    return on_intervals(found, true)
+
+
 def ground_distance(a: Array, b: Array) -> float:
     """Horizontal distance in a plane, m: at 100 m it is off by the Earth's bend of 1 nm."""
     return float(np.hypot(*(b - a)[:2]))
@@ -339,6 +373,7 @@ def measure_flight(seed: int, *, adjusted: bool = True) -> dict[str, Measured]:
         out[f"locate, {name}, tags"] = located(scene, flight, rng)
         out[f"distance in one photo, {name}, tags"] = within_one_photo(scene, flight, rng)
         out[f"distance between photos, {name}, tags"] = between_photos(scene, flight, rng)
+        out |= _with_ground(scene, flight, f"{name}, tags")
     points = intersected(scene, flight, rng)
     out["intersect, tags"] = on_ellipses(points, truth_of(flight, points))
     out["distance, intersected, tags"] = between_intersected(points, flight)
@@ -352,7 +387,19 @@ def measure_flight(seed: int, *, adjusted: bool = True) -> dict[str, Measured]:
         out["intersect, adjusted"] = on_ellipses(points, truth_of(flight, points))
         out["distance, intersected, adjusted"] = between_intersected(points, flight)
         out["area, intersected, adjusted"] = area_of(points, flight)
+        out |= _with_ground(scene, flight, "own TIN, adjusted")
     return out
+
+
+def _with_ground(scene: Scene, flight: SimFlight, of: str) -> dict[str, Measured]:
+    """What rays and the ground give together; drawn apart, so that the rest stays as it was."""
+    rng = np.random.default_rng(len(flight.check.photo))
+    points = on_the_ground(scene, flight, rng)
+    return {
+        f"on the ground, {of}": on_ellipses(points, truth_of(flight, points)),
+        f"distance, on the ground, {of}": between_intersected(points, flight),
+        f"distance, both ways, {of}": between_both_ways(points, scene, flight, rng),
+    }
 
 
 def shares(flights: Sequence[Measured]) -> Array:

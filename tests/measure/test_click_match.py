@@ -28,8 +28,8 @@ from match_cases import (
 from georef_gis.errors import GeometryError
 from georef_gis.frames import Array
 from georef_gis.measure.click_match.match import Matched, match_click
-from georef_gis.measure.click_match.place import SharedClick, intersect_matched, kept_sigma
 from georef_gis.measure.points import Mark, intersect_points, locate_points
+from georef_gis.model.joint_errors import JointErrors
 
 pytestmark = pytest.mark.slow
 
@@ -241,9 +241,9 @@ def test_the_clicks_part_is_that_of_moving_it() -> None:
     uv = true_pixel("P0", 1.0, -2.0)
     marks = [Mark(name="x", photo=key, u=float(p[0]), v=float(p[1]), sigma_px=0.1)
              for key in IDS for p in [true_pixel(key, 1.0, -2.0)]]  # fmt: skip
-    shared = SharedClick(mark=marks[0], sigma_px=1.5)
+    sharing = [replace(mark, shared_px=1.5) for mark in marks]
     covariance = (
-        intersect_matched(scene(), marks, shared).each[0] - intersect_points(scene(), marks).each[0]
+        intersect_points(scene(), sharing).each[0] - intersect_points(scene(), marks).each[0]
     )
     rng = np.random.default_rng(8)
     draws = []
@@ -257,18 +257,42 @@ def test_the_clicks_part_is_that_of_moving_it() -> None:
     assert np.allclose(np.diag(covariance)[:2], np.diag(spread), rtol=0.2)
 
 
-def test_kept_as_clicks_of_their_own_the_plan_is_as_unsure_as_it_is() -> None:
+def test_marks_that_are_kept_give_the_place_that_matching_gave() -> None:
     uv = true_pixel("P0", 0.5, -1.0)
     found = match_click(scene(), [click("P0", uv, sigma_px=1.0)], picture)
     assert found.place is not None
-    kept = [replace(one.mark, sigma_px=one.sigma_kept_px) for one in found.matches]
-    again = intersect_points(scene(), [*found.clicks, *kept]).each[0]
-    once = found.place.each[0]
+    kept = [*found.own, *(one.mark for one in found.matches)]
+    again = intersect_points(scene(), kept)
+    assert np.allclose(again.p_enu, found.place.p_enu, atol=1e-9)
+    assert np.allclose(again.each, found.place.each, rtol=1e-9, atol=1e-12)
+    assert np.allclose(again.covariance(), found.place.covariance(), rtol=1e-9, atol=1e-12)
+    # none of them says how unsure the click is as if it were its own
+    assert all(mark.sigma_px < 0.6 < mark.shared_px < 1.5 for mark in kept)
+
+
+def test_a_click_of_its_own_beside_matched_ones_betters_what_they_share() -> None:
+    """Five marks of one click, and one that somebody clicked: two clicks, not six, not one."""
+    marks = [Mark(name="x", photo=key, u=float(p[0]), v=float(p[1]), sigma_px=0.1, shared_px=1.0)
+             for key in IDS for p in [true_pixel(key, 1.0, -2.0)]]  # fmt: skip
+    own = replace(marks[-1], sigma_px=1.0, shared_px=0.0)
+    known = JointErrors.of_matrix(scene().photos, 1e-12 * np.eye(6 * len(IDS)))
+    exact = replace(scene(), errors=known)
+    once = intersect_points(exact, marks[:-1]).each[0]
+    both = intersect_points(exact, [*marks[:-1], own]).each[0]
+    assert math.sqrt(both[0, 0] / once[0, 0]) == pytest.approx(math.sqrt(0.5), rel=0.1)
+
+
+def test_who_takes_marks_as_independent_is_not_too_sure_of_the_plan() -> None:
+    uv = true_pixel("P0", 0.5, -1.0)
+    found = match_click(scene(), [click("P0", uv, sigma_px=1.0)], picture)
+    assert found.place is not None
+    kept = [*found.own, *(one.mark for one in found.matches)]
+    alone = [replace(m, sigma_px=m.kept_px(len(kept)), shared_px=0.0) for m in kept]
+    again, once = intersect_points(scene(), alone).each[0], found.place.each[0]
     for k in range(2):
-        # one click keeps its own sigma, and photos count by their scale
-        assert 0.75 < math.sqrt(again[k, k] / once[k, k]) < 1.3
+        # photos count by their scale
+        assert 0.9 < math.sqrt(again[k, k] / once[k, k]) < 1.3
     assert again[2, 2] > once[2, 2]
-    assert kept_sigma(0.1, 0.5, 4) == pytest.approx(math.hypot(0.1, 1.0))
 
 
 def test_matches_make_the_height_known() -> None:

@@ -24,6 +24,9 @@ KINDS = (
     "locate, own TIN, adjusted", "distance in one photo, own TIN, adjusted",
     "distance between photos, own TIN, adjusted", "intersect, adjusted",
     "distance, intersected, adjusted",
+    *(f"{what}, {of}"
+      for of in ("flat, tags", "TIN, tags", "DEM, tags", "own TIN, adjusted")
+      for what in ("on the ground", "distance, on the ground", "distance, both ways")),
 )  # fmt: skip
 pytestmark = pytest.mark.slow
 

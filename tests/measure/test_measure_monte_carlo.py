@@ -28,11 +28,16 @@ PLACES = {
     "in B": (scenes.on_slope(14.0, 4.0), "B"),
     "in all": (np.array([1.0, 3.0, 4.0]), "ABC"),
     "in A and B": (np.array([-3.0, -6.0, 1.0]), "AB"),
+    "A, B and ground": (scenes.on_slope(-2.0, 12.0), "AB"),
+    "A, C and ground": (scenes.on_slope(9.0, 8.0), "AC"),
 }
-GROUND = np.array([p for p, keys in PLACES.values() if len(keys) == 1])
+WITH_GROUND = {name for name in PLACES if "ground" in name}
+GROUND = np.array([p for name, (p, keys) in PLACES.items()
+                   if len(keys) == 1 or name in WITH_GROUND])  # fmt: skip
 
 
 def measured(scene: Scene, marks: list[Mark]) -> MeasuredPoints:
+    marks = [replace(m, on_ground=m.name in WITH_GROUND) for m in marks]
     alone = [m for m in marks if len(PLACES[m.name][1]) == 1]
     return MeasuredPoints.joined(
         locate_points(scene, alone), intersect_points(scene, [m for m in marks if m not in alone])
@@ -46,7 +51,7 @@ def stated() -> MeasuredPoints:
 
 
 @pytest.fixture(scope="module")
-def draws() -> list[MeasuredPoints]:
+def draws(stated: MeasuredPoints) -> list[MeasuredPoints]:
     rng = np.random.default_rng(20)
     exact = scenes.marks_of(scenes.oriented(), PLACES)
     root = np.linalg.cholesky(scenes.pose_covariance())
@@ -66,7 +71,10 @@ def draws() -> list[MeasuredPoints]:
             replace(m, u=m.u + du, v=m.v + dv) for m, (du, dv) in zip(exact, clicks, strict=True)
         ]
         out.append(measured(scene, marks))
-    return out
+    # one of 370 good points has a ground that seems to contradict it, which is then told
+    kept = [one for one in out if one.methods == stated.methods]
+    assert len(kept) > 0.98 * DRAWS
+    return kept
 
 
 def test_without_errors_the_places_are_the_true_ones(stated: MeasuredPoints) -> None:
@@ -87,6 +95,7 @@ def test_the_joint_covariance_is_that_of_the_draws(
     np.testing.assert_allclose(found, expected, atol=CORRELATIONS)
     # what two kinds of measuring share is not nothing
     assert np.abs(expected[:3, 9:12]).max() > 0.4
+    assert np.abs(expected[:3, 15:18]).max() > 0.4
 
 
 def test_each_point_alone_is_in_the_joint_covariance(stated: MeasuredPoints) -> None:
@@ -112,7 +121,7 @@ def values_of(lines: Lengths) -> dict[str, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chosen", [(0, 1, 2), (0, 3, 4), (1, 2, 3)])
+@pytest.mark.parametrize("chosen", [(0, 1, 2), (0, 3, 4), (1, 2, 3), (5, 6, 0), (3, 5, 4)])
 def test_lengths_and_areas_scatter_as_their_sigmas_say(
     stated: MeasuredPoints, draws: list[MeasuredPoints], chosen: tuple[int, ...]
 ) -> None:

@@ -233,10 +233,25 @@ def test_each_doubt_stands_once_with_what_it_is_of() -> None:
     assert level(nothing) == "fine"
 
 
+@pytest.mark.parametrize(
+    ("outcome", "told", "shown"),
+    [("refused", "fine", 0), ("cancelled", "look", 1), ("failed", "bad", 1)],
+)
+def test_a_question_that_was_refused_is_no_doubt_about_the_project(
+    outcome: str, told: str, shown: int
+) -> None:
+    asked = run("who_sees", ["a warning"]) | {"outcome": outcome, "message": "no such photo"}
+    (item,) = doubt_items(replace(project_facts(3), runs=[asked]), None)
+    assert isinstance(item, Table)
+    assert level(item) == told
+    assert len([row for row in item.rows if row[2].startswith(outcome)]) == shown
+
+
 def test_assets_of_photos_that_are_gone_are_doubtful() -> None:
     found = facts_of([asset(0)], photos=frozenset({"P000", "P001"}))
     (doubt,) = all_doubts(project_facts(2), found)
     assert "no longer in the project" in doubt.text
+    assert "P002" in doubt.text
     there = facts_of([asset(0)], photos=frozenset({"P000", "P001", "P002"}))
     assert all_doubts(project_facts(2), there) == []
 

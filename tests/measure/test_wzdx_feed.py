@@ -190,7 +190,9 @@ def test_feed_that_breaks_a_rule_is_not_made(changes: dict[str, Any], words: str
         ({"lane": [{"order": 1}], "lane_count": 3}, "lane_count says 3"),
         ({"lane": 3}, r"must stand as \[\[wzdx.lane\]\]"),
         ({"roadname": "I-79"}, "is no key; use"),
-        ({"version": "9.9"}, "is no version of WZDx"),
+        ({"version": "9.9"}, "zone.toml: version: '9.9' is no version of WZDx"),
+        ({"devices": ["T1", "G1", "T1"]}, "wzdx.devices: names line T1 2 times"),
+        ({"direction_as_signed": 1}, "1 is not true or false"),
     ],
 )
 def test_table_that_cannot_be_read_is_refused(changes: dict[str, Any], words: str) -> None:

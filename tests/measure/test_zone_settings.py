@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from georef_gis.errors import InputError
+from georef_gis.measure.workzone.wzdx import wzdx_settings
 from georef_gis.measure.workzone.zone_settings import ZONE_FILE, read_zone, zone_template
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 
@@ -105,6 +107,15 @@ def test_examples_of_the_template_can_be_used_as_they_stand(tmp_path: Path) -> N
     assert zone.lanes[0].name == "right lane"
 
 
+def test_example_of_the_docs_can_be_used_as_it_stands(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/work_zone.md").read_text("utf-8")
+    (text,) = re.findall("```toml\n(.*?)```", page, flags=re.DOTALL)
+    path = write(tmp_path, text)
+    zone = read_zone(path)
+    zone.check_screening()
+    assert wzdx_settings(zone.wzdx, zone.source).lines == ["T1"]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -113,8 +124,12 @@ def test_examples_of_the_template_can_be_used_as_they_stand(tmp_path: Path) -> N
         ("[zone]\nspeed_mph = true", "is not a number"),
         ("[zone]\nspeed_mph = -5", "-5 is no possible value"),
         ("[zone]\nspeed_mph = nan", "nan is no possible value"),
+        ("[zone]\nspeed_mph = 250", "zone.speed_mph: 250 mph is no speed of a road; give 5 to 100"),
+        ("[zone]\nspeed_mph = 0.1", "0.1 mph is no speed of a road"),
         ("[zone]\ntravel = 'up'", "'up' is no direction; use N, NE"),
         ("[zone]\ntravel = 400", "is no direction"),
+        # float() takes it for 1 degree
+        ("[zone]\ntravel = true", "'True' is no direction"),
         ("[zones]\n", "zones: is no table; use"),
         ("[taper]\nline = 'T1'", r"must stand as [[taper]]"),
         ("[[taper]]\nline = 'T1'", "taper.kind: is missing"),

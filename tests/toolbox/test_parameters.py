@@ -8,6 +8,7 @@ import pytest
 from georef_gis.errors import InputError
 from georef_gis.toolbox import Algorithm, Context, Feedback, Result, manifest
 from georef_gis.toolbox import parameters as p
+from georef_gis.toolbox.registry import load_registry
 from georef_gis.toolbox.values import Extent, MapPoint, PhotoPixel
 
 
@@ -116,3 +117,24 @@ def test_helper_of_another_type_is_refused() -> None:
 
     with pytest.raises(TypeError, match="its helper is not the one of its type Length"):
         Wrong.specs()
+
+
+def test_suggestions_are_offered_and_other_texts_are_allowed() -> None:
+    class Layered(p.Parameters):
+        layer: p.Text = p.text("photos", title="Layer", suggestions=("photos", "assets"))
+
+    (spec,) = Layered.specs()
+    assert spec.manifest()["suggestions"] == ["photos", "assets"]
+    assert spec.schema()["examples"] == ["photos", "assets"]
+    assert "enum" not in spec.schema()
+    assert Layered(layer="mine.gpkg").layer == "mine.gpkg"
+
+
+def test_exporters_suggest_the_layers_that_they_accept() -> None:
+    tool = load_registry().find("export_geojson").algorithm
+    (layer,) = [spec for spec in tool.Parameters.specs() if spec.name == "layer"]
+    assert {"photos", "footprints", "assets"} <= set(layer.suggestions)
+    assert layer.suggestions[0] == layer.default
+    raster = load_registry().find("export_cog").algorithm
+    (layer,) = [spec for spec in raster.Parameters.specs() if spec.name == "layer"]
+    assert layer.suggestions == ("mosaic", "orthos")

@@ -180,11 +180,47 @@ def test_a_pdf_that_fails_leaves_the_one_before(
     assert navigated.litter() == []
 
 
-def test_without_the_library_one_line_says_what_to_install(
+def test_without_the_library_one_line_says_what_to_install_and_the_page_is_written(
     navigated: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    (navigated.products / REPORT).unlink(missing_ok=True)
     monkeypatch.setitem(sys.modules, "reportlab", None)
     done = georef("report", "--pdf", "--force", "--project", navigated.folder)
-    assert done.code != 0
-    done.line("reportlab", 'pip install "georef-gis[pdf]"')
+    assert done.code == 2
+    done.line(
+        "reportlab", "not installed", 'pip install "georef-gis[pdf]"', "report.html is written"
+    )
     assert "Traceback" not in done.text
+    assert (navigated.products / REPORT).read_text("utf-8").endswith("</html>\n")
+
+
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [
+        ("__init__.py", "ImportError: libfreetype.so.6: cannot open shared object file"),
+        ("__init__.py", "RuntimeError: half installed"),
+        ("rl_config.py", "SyntaxError: null bytes"),
+    ],
+)
+def test_with_a_broken_library_one_line_says_so_and_the_page_is_written(
+    navigated: Site, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str, said: str
+) -> None:
+    package = tmp_path / "reportlab"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    kind, _, text = said.partition(": ")
+    (package / broken).write_text(f"raise {kind}({text!r})\n", encoding="utf-8")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "reportlab"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(tmp_path)
+    (navigated.products / REPORT).unlink(missing_ok=True)
+    (navigated.products / PDF).unlink(missing_ok=True)
+    done = georef("report", "--pdf", "--force", "--project", navigated.folder)
+    # not put back at the end, as `delitem` would
+    sys.modules.pop("reportlab", None)
+    assert done.code == 2, done.text
+    done.line("pdf: a PDF needs reportlab", said, "--force-reinstall", "report.html is written")
+    assert "bug in georef" not in done.text
+    assert (navigated.products / REPORT).is_file()
+    assert not (navigated.products / PDF).exists()
+    assert navigated.litter() == []

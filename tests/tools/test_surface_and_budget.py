@@ -245,3 +245,33 @@ def test_polygons_of_a_file_are_measured_one_by_one(adjusted: Site, tmp_path: Pa
     assert [one["name"] for one in found["volumes"]] == ["heap A", "heap B"]
     with target.open(newline="") as stream:
         assert len(list(csv.DictReader(stream))) == 2
+
+
+def test_budget_of_places_that_are_none_says_why(tagged: Site) -> None:
+    name = tagged.photos[0].name
+    for pixel, said in (
+        ("IMG_9999.JPG:600,400", "no photo with a pose is called 'IMG_9999.JPG'"),
+        (f"{name}:99999,400", "lies outside"),
+    ):
+        done = georef("error-budget", "--project", tagged.folder, "--pixel", pixel)
+        assert done.code == 2
+        assert len(done.text.splitlines()) == 1
+        done.line("no point has a place: 1: ", said)
+    done = georef("error-budget", "--project", tagged.folder, "--photo", name)
+    assert done.code == 2
+    done.line("photo: is that of --pixel", "no pixel is given")
+    done = georef("error-budget", "--project", tagged.folder, "--assets")
+    assert done.code == 2
+    done.line("no asset of the project was clicked", "georef assets --clicks")
+
+
+def test_files_that_the_docs_name_are_in_the_sample_project() -> None:
+    text = (SAMPLE.parent / "docs/error_budget.md").read_text("utf-8")
+    calls = [line.partition("#")[0].split() for line in text.splitlines() if "   georef " in line]
+    assert len(calls) == 4
+    photos = [words[3].partition(":")[0] for words in calls if "--pixel" in words]
+    marks = [words[3] for words in calls if "--marks" in words]
+    assert photos
+    assert marks
+    assert all((SAMPLE / "photos" / name).is_file() for name in photos)
+    assert all((SAMPLE / name).is_file() for name in marks)

@@ -230,49 +230,130 @@ def test_way_of_the_traffic_is_asked_for_where_nothing_tells_it(clicked: Site) -
     assert georef("screen-work-zone", "--project", clicked.folder).code == 0
 
 
+@pytest.mark.parametrize("stated", ["westbound", "northbound"])
+def test_direction_against_the_devices_is_refused_and_askew_doubted(
+    clicked: Site, stated: str
+) -> None:
+    # the road runs towards 66 degrees
+    zone(clicked, more=WZDX.replace("eastbound", stated))
+    done = georef("wzdx", "--project", clicked.folder)
+    told = done.line(f"wzdx.direction: '{stated}'", "(eastbound)", "from C01 to D")
+    assert re.search(r"towards 6[0-9] deg", told)
+    assert (done.code, (clicked.products / "work_zone.geojson").exists()) == (
+        (2, False) if stated == "westbound" else (0, True)
+    )
+
+
+def test_side_of_merging_that_the_taper_does_not_have_is_doubted(clicked: Site) -> None:
+    zone(clicked, kind="merging", more=WZDX)
+    assert "wzdx.vehicle_impact" not in georef("wzdx", "--project", clicked.folder).text
+    zone(clicked, kind="merging", more=WZDX.replace("merge-left", "merge-right"))
+    done = georef("wzdx", "--project", clicked.folder)
+    done.line("wzdx.vehicle_impact: 'some-lanes-closed-merge-right'", "lead to the left")
+
+
 def test_lines_the_wrong_way_round_are_doubted(clicked: Site) -> None:
     zone(clicked, more=WZDX.replace('["T1", "G1"]', '["G1", "T1"]'))
     done = georef("wzdx", "--project", clicked.folder)
     assert "T1 does not begin where G1 ends" in done.text
 
 
-def test_signs_are_taken_from_the_taper_outwards_and_others_refused(clicked: Site) -> None:
+def add_signs(site: Site, **feet: float) -> None:
+    """Signs of line S1 on the line of the cones: so many feet from the first one."""
     quality = Quality(sigma_e=0.02, sigma_n=0.02, sigma_u=0.02, method="survey")
-    with AssetStore.of_project(Project.open(clicked.folder)) as store:
+    with AssetStore.of_project(Project.open(site.folder)) as store:
         cones = sorted((a for a in store.assets(["cone"])), key=lambda a: a.name)
         start, end = (np.array(cones[k].vertices[0]) for k in (0, -1))
         u = (end - start) / np.linalg.norm((end - start)[:2])
-        for name, feet in (("far", -330.0), ("near", -120.0)):
-            e, n, _ = start + feet * u
+        for name, away in feet.items():
+            e, n, _ = start + away * u
             draft = Draft(kind="sign", name=name, vertices=((e, n, start[2]),), quality=quality,
                           attributes={"line": "S1", "mutcd_code": "W20-1"})  # fmt: skip
             store.add(draft)
-    zone(clicked, more='\n[[signs]]\nline = "S1"\ntaper = "T1"\n')
+
+
+SIGNS = '\n[[signs]]\nline = "S1"\ntaper = "T1"\n'
+
+
+def test_signs_are_taken_from_the_taper_outwards_and_others_refused(clicked: Site) -> None:
+    add_signs(clicked, far=-330.0, near=-120.0)
+    zone(clicked, more=SIGNS)
     assert georef("screen-work-zone", "--project", clicked.folder).code == 0
     told = json.loads((clicked.products / "work_zone_screening.json").read_text())["findings"]
     signs = {row["check"]: row for row in told if row["check"].startswith("sign")}
     assert signs["sign spacing A"]["value_ft"] == pytest.approx(120, abs=0.5)
     assert signs["sign spacing B"]["value_ft"] == pytest.approx(210, abs=0.1)
-    with AssetStore.of_project(Project.open(clicked.folder)) as store:
-        e, n, h = end
-        store.add(Draft(kind="sign", name="end", vertices=((e, n, h),), quality=quality,
-                        attributes={"line": "S1", "mutcd_code": "G20-2"}))  # fmt: skip
+    add_signs(clicked, end=118.0)
     done = georef("screen-work-zone", "--project", clicked.folder)
     assert done.code != 0
+    # no way of the traffic puts both before the taper: it is not called wrong
     assert "line S1 has signs behind the beginning of T1 (end)" in done.text
+    assert "likely the wrong way" not in done.text
 
 
-def test_file_to_fill_in_is_written_once_and_names_the_lines(clicked: Site) -> None:
+@pytest.mark.parametrize("tool", ["screen-work-zone", "wzdx"])
+@pytest.mark.parametrize("travel", ['"W"', "250"])
+def test_travel_that_puts_signs_behind_is_named_with_the_one_that_fits(
+    clicked: Site, tool: str, travel: str
+) -> None:
+    add_signs(clicked, far=-330.0, near=-120.0)
+    zone(clicked, more=SIGNS + WZDX)
     path = clicked.folder / "work_zone.toml"
-    for tool in ("screen-work-zone", "wzdx"):
-        done = georef(tool, "--project", clicked.folder)
-        assert done.code != 0
-        assert path.is_file()
-        assert "fill" in done.text
+    path.write_text(path.read_text().replace('travel = "NE"', f"travel = {travel}"))
+    done = georef(tool, "--project", clicked.folder)
+    assert done.code == 2
+    written = travel.strip('"')
+    told = done.line("work_zone.toml: zone.travel:", f'"{written}" is likely the wrong way')
+    assert 'set travel = "NE"' in told
+    assert not list(clicked.products.glob("work_zone*"))
+    path.write_text(path.read_text().replace(f"travel = {travel}", 'travel = "NE"'))
+    assert georef(tool, "--project", clicked.folder).code == 0
+
+
+def test_order_against_the_traffic_is_named(clicked: Site) -> None:
+    add_signs(clicked, far=-330.0, near=-120.0)
+    with AssetStore.of_project(Project.open(clicked.folder)) as store:
+        for cone in store.assets(["cone"]):
+            last_first = {**cone.attributes, "order": 20 - int(cone.name[1:])}
+            store.change(cone.id, cone.revision, Change(attributes=last_first))
+    zone(clicked, more=SIGNS)
+    done = georef("screen-work-zone", "--project", clicked.folder)
+    assert done.code == 2
+    done.line("all stand before its other end", "`order` of T1")
+
+
+def test_travel_across_the_road_is_doubted(clicked: Site) -> None:
+    zone(clicked, more=WZDX)
+    path = clicked.folder / "work_zone.toml"
+    path.write_text(path.read_text().replace('travel = "NE"', 'travel = "N"'))
+    done = georef("wzdx", "--project", clicked.folder)
+    assert done.code == 0, done.text
+    done.line('zone.travel: "N" lies', "from line T1", '"NE" or "SW"')
+
+
+@pytest.mark.parametrize("tool", ["screen-work-zone", "wzdx"])
+def test_file_to_fill_in_is_the_first_step_and_names_the_lines(clicked: Site, tool: str) -> None:
+    path = clicked.folder / "work_zone.toml"
+    done = georef(tool, "--project", clicked.folder)
+    assert done.code == 0, done.text
+    done.line("next", "fill in work_zone.toml, then run this again")
     text = path.read_text()
     assert "T1 (" in text
     assert "G1 (" in text
     assert re.search(r'id = "[0-9a-f-]{36}"', text)
+    # as it was written it is no zone yet, and stays as it is
+    done = georef(tool, "--project", clicked.folder)
+    assert done.code == 2
+    done.line("fill in what is missing")
+    assert path.read_text() == text
+    assert not list(clicked.products.glob("work_zone*"))
+
+
+def test_file_to_fill_in_of_a_site_without_devices_says_what_to_do_first(clicked: Site) -> None:
+    (clicked.folder / "assets.gpkg").unlink()
+    done = georef("screen-work-zone", "--project", clicked.folder)
+    assert done.code == 0, done.text
+    done.line("no device of the project belongs to a line yet", "georef assets --clicks")
 
 
 def test_place_moved_by_hand_is_refused_until_it_is_measured(clicked: Site) -> None:
@@ -290,3 +371,26 @@ def test_line_that_no_device_has_is_refused_with_those_there_are(clicked: Site) 
     zone(clicked, more='[[tangent]]\nline = "G9"\n')
     done = georef("screen-work-zone", "--project", clicked.folder)
     assert "no channelizing device belongs to line 'G9'; there are G1, T1" in done.text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ("urban_low", "city", ("zone.road_type: 'city' is no type of road", "urban_low")),
+        ('"shoulder"', '"sholder"', ("taper.kind: 'sholder' is no kind of taper", "shoulder")),
+        ("offset_ft = 8", "offset_ft = 800", ("taper T1: offset_ft: 800 ft", "ft apart")),
+        ("offset_ft = 8", 'edge = "kerb"', ("no line asset is called 'kerb'", "there are none")),
+        ("offset_ft = 8", "", ("T1: needs its offset", "offset_ft")),
+        ("[zone]", '[zone]\nrules = "1988"', ("zone.rules: '1988' is neither an edition", "2009")),
+    ],
+)
+def test_slip_in_the_file_is_told_with_the_file_and_the_cure(
+    clicked: Site, old: str, new: str, parts: tuple[str, ...]
+) -> None:
+    add_signs(clicked, near=-120.0)
+    zone(clicked, more=SIGNS)
+    path = clicked.folder / "work_zone.toml"
+    path.write_text(path.read_text().replace(old, new))
+    done = georef("screen-work-zone", "--project", clicked.folder)
+    assert done.code == 2
+    done.line("work_zone.toml: ", *parts)

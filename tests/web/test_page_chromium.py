@@ -141,6 +141,7 @@ def store_point(tab: Tab, name: str, at: tuple[float, float] = (600.0, 400.0)) -
     tab.key("p")
     tab.click_photo(*at)
     tab.measured()
+    tab.page.select_option("#panel-measure select.kind", "cone")
     tab.page.fill("#panel-measure input[type=text] >> nth=0", name)
     tab.page.keyboard.press("Control+Enter")
     waited(lambda: tab.page.inner_text("#message").endswith("stored"))

@@ -155,6 +155,7 @@ def test_a_server_that_is_started_anew_goes_on_with_what_was_clicked(
             tab.key("p")
             tab.click_photo(600.0, 400.0)
             tab.measured()
+            tab.page.select_option("#panel-measure select.kind", "cone")
         tab.page.keyboard.press("Control+Enter")
         waited(lambda: "does not answer" in tab.page.inner_text("#message"))
         with served(site, "--port", str(first.port)) as second:

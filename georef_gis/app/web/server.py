@@ -13,12 +13,12 @@ import uvicorn
 
 from georef_gis.app.web.application import make_app
 from georef_gis.app.web.guard import Access
+from georef_gis.app.web.running import LOOPBACK, noted
 from georef_gis.errors import InputError
 from georef_gis.project import Project
 from georef_gis.toolbox.registry import load_registry
 from georef_gis.toolbox.services import load_services
 
-LOOPBACK = "127.0.0.1"
 # bytes of the head of a request; tiles of photos with long ids take 700
 _MOST_HEAD = 16_384
 _MOST_CONNECTIONS = 200
@@ -54,7 +54,7 @@ def run_server(
             target=_open_when_ready, args=(server, access, tell, browser), daemon=True
         ).start()
         # uvicorn raises the signal once more after it has closed everything in order.
-        with contextlib.suppress(KeyboardInterrupt):
+        with noted(project, access), contextlib.suppress(KeyboardInterrupt):
             server.run(sockets=[listening])
 
 

@@ -25,6 +25,10 @@ class Click:
         Counted from 0.
     sigma_px
         One sigma of the click, px; None = as the tool that measures takes it.
+    shared_px
+        What clicks that were matched from one another err by alike, see `Mark`, px.
+    on_ground
+        Whether the spot is said to lie on the ground.
     """
 
     photo_id: str
@@ -32,6 +36,8 @@ class Click:
     v: float
     vertex: int = 0
     sigma_px: float | None = None
+    shared_px: float = 0.0
+    on_ground: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +56,8 @@ class Quality:
     dof
         Degrees of freedom of the adjustment of the point; 0 from one photo.
     method
-        "locate", "intersect", or "edited" where a place was drawn or moved by hand.
+        "locate", "intersect", "intersect_ground" (rays and the ground), or "edited" where a place
+        was drawn or moved by hand.
     """
 
     sigma_e: float | None = None

@@ -74,7 +74,7 @@ Row = dict[str, Any]
 def row_of(asset: Asset) -> Row:
     """Row of an asset."""
     quality = asset.quality or Quality()
-    clicks = [[c.photo_id, c.u, c.v, c.vertex, c.sigma_px] for c in quality.clicks]
+    clicks = [_written(click) for click in quality.clicks]
     return {
         "asset_id": asset.id,
         "class": asset.kind,
@@ -89,6 +89,13 @@ def row_of(asset: Asset) -> Row:
         "changed": asset.changed,
         "geom": wkb_of(asset.shape, asset.vertices),
     }
+
+
+def _written(click: Click) -> list[Any]:
+    """A click as older versions write it, and what is more of it where there is any."""
+    out = [click.photo_id, click.u, click.v, click.vertex, click.sigma_px]
+    more = [click.shared_px, click.on_ground]
+    return out + more if any(more) else out
 
 
 def asset_of(row: Mapping[str, Any], shape: Shape, revision: int, domain: Domain) -> Asset:
@@ -165,8 +172,9 @@ def _clicks(text: Any, problems: list[str]) -> tuple[Click, ...]:
     try:
         clicks = tuple(
             Click(photo_id=str(photo), u=float(u), v=float(v), vertex=int(vertex),
-                  sigma_px=None if sigma is None else float(sigma))
-            for photo, u, v, vertex, sigma in json.loads(text)
+                  sigma_px=None if sigma is None else float(sigma),
+                  shared_px=float(more[0]) if more else 0.0, on_ground=more[1:] == [True])
+            for photo, u, v, vertex, sigma, *more in json.loads(text)
         )  # fmt: skip
     except (OverflowError, TypeError, ValueError):
         clicks = None

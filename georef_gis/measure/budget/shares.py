@@ -141,7 +141,7 @@ def _untied(points: MeasuredPoints) -> Array:
     """What the ground gives to the points' own errors: where no two photos tell its height."""
     scene = points.scene
     out = np.zeros((len(points), 3, 3))
-    located = np.array([method == "locate" for method in points.methods], dtype=bool)
+    located = np.array([method != "intersect" for method in points.methods], dtype=bool)
     terrain = scene.terrain
     if not (scene.tied and isinstance(terrain, TinTerrain) and np.any(located)):
         return out

@@ -27,7 +27,6 @@ from georef_gis.measure.click_match.judge import (
     word_of,
 )
 from georef_gis.measure.click_match.patch import Picture, Template, template_of
-from georef_gis.measure.click_match.place import SharedClick, intersect_matched, kept_sigma
 from georef_gis.measure.click_match.search import Scores, common_level, search
 from georef_gis.measure.click_match.ways import (
     PictureOf,
@@ -69,19 +68,16 @@ class MatchedClick:
     Parameters
     ----------
     mark
-        `sigma_px` holds the match and what the photo's model leaves, not the click.
+        `sigma_px` holds the match and what the photo's model leaves, `shared_px` the click.
     covariance : shape (2, 2), px^2
         Of the match alone.
     quality
         Correlation with the clicked patch.
-    sigma_kept_px
-        For a mark that is kept as if it were a click of its own: see `kept_sigma`.
     """
 
     mark: Mark
     covariance: Array
     quality: float
-    sigma_kept_px: float
 
     @property
     def sigma_px(self) -> float:
@@ -97,6 +93,9 @@ class Matched:
     ----------
     clicks
         The user's own marks, as they were.
+    own
+        What stands for them beside the matches, that of the template's photo first: where the spot
+        was found again, at the pixel that all of them together mean.
     before
         Place by them alone.
     template
@@ -114,6 +113,7 @@ class Matched:
     clicks: tuple[Mark, ...]
     before: MeasuredPoints
     template: Mark
+    own: tuple[Mark, ...] = ()
     size: int = 0
     matches: tuple[MatchedClick, ...] = ()
     place: MeasuredPoints | None = None
@@ -266,7 +266,7 @@ class _Matching:
             return scores
         with np.errstate(invalid="ignore"):
             away = np.linalg.norm(scores.uv + view.corner - [mark.u, mark.v], axis=-1)
-        unsure = float(np.hypot(mark.sigma_px, self.template.sigma_px))
+        unsure = float(np.hypot(mark.whole_px, self.template.whole_px))
         return replace(
             scores, values=np.where(away > _NEAR_CLICK * unsure + 1.0, -1.0, scores.values)
         )
@@ -277,17 +277,16 @@ class _Matching:
 
 def _placed(scene: Scene, out: Matched, found: _Round, model_px: float) -> Matched:
     """Matches that fit each other, and the place by them."""
-    shared, doubts = _agreed(out, found.found)
+    at, doubts = _agreed(out, found.found)
     out = replace(out, size=found.size, doubts=doubts)
-    marks = _marks(out, found.found, shared, model_px)
     try:
-        place = intersect_matched(scene, list(marks.values()), shared)
+        place = intersect_points(scene, list(_marks(out, found.found, at, model_px).values()))
         model_px *= _misfit(place)
-        marks = _marks(out, found.found, shared, model_px)
-        place = intersect_matched(scene, list(marks.values()), shared)
+        marks = _marks(out, found.found, at, model_px)
+        place = intersect_points(scene, list(marks.values()))
     except GeometryError as error:
         return replace(out, why_not=str(error))
-    return _told(out, found, shared, marks, place)
+    return _told(out, found, marks, place)
 
 
 def _misfit(place: MeasuredPoints) -> float:
@@ -299,62 +298,66 @@ def _misfit(place: MeasuredPoints) -> float:
     return math.sqrt(said / (_PRIOR_DOF + point.dof))
 
 
-def _marks(
-    out: Matched, found: dict[str, Found], shared: SharedClick, model_px: float
-) -> dict[str, Mark]:
-    """Marks of the one spot by photo; none of them holds the click's own error."""
-    at = shared.mark
+def _marks(out: Matched, found: dict[str, Found], at: Mark, model_px: float) -> dict[str, Mark]:
+    """Marks of the one spot by photo, that of the template first; what they share is the click."""
     moved = np.array([at.u - out.template.u, at.v - out.template.v])
     marks = {at.photo: replace(at, sigma_px=math.hypot(at.sigma_px, model_px))}
     for key, one in found.items():
-        uv = one.uv + one.affine @ moved
-        marks[key] = Mark(name=at.name, photo=key, u=float(uv[0]), v=float(uv[1]),
-                          sigma_px=math.hypot(one.sigma_px, model_px))  # fmt: skip
+        u, v = (float(x) for x in one.uv + one.affine @ moved)
+        marks[key] = replace(
+            at, photo=key, u=u, v=v, sigma_px=math.hypot(one.sigma_px, model_px),
+            shared_px=at.shared_px * _scale(one),
+        )  # fmt: skip
     for mark in out.clicks:
-        if mark.photo not in marks:
-            both = math.hypot(mark.sigma_px, shared.sigma_px)
-            marks[mark.photo] = replace(mark, sigma_px=both)
+        marks.setdefault(mark.photo, mark)
     return marks
 
 
-def _agreed(out: Matched, found: dict[str, Found]) -> tuple[SharedClick, tuple[str, ...]]:
-    """Spot that all of the user's clicks mean, in the template's photo, and how sure that is."""
-    weight = [out.template.sigma_px**-2]
-    moves = [[0.0, 0.0]]
+def _scale(one: Found) -> float:
+    """Pixels of a photo by those of the template's, the mean of both directions."""
+    return math.sqrt(abs(float(np.linalg.det(one.affine))))
+
+
+def _agreed(out: Matched, found: dict[str, Found]) -> tuple[Mark, tuple[str, ...]]:
+    """Spot that all of the user's clicks mean, in the template's photo.
+
+    Its `sigma_px` is the noise of the template, its `shared_px` how sure the clicks are.
+    """
+    template = out.template
+    moves, alone, shared = [[0.0, 0.0]], [template.sigma_px], [template.shared_px]
     doubts = []
     for mark in out.clicks:
         one = found.get(mark.photo)
         if one is None:
             continue
         move = np.linalg.solve(one.affine, np.array([mark.u, mark.v]) - one.uv)
-        sigma = mark.sigma_px / np.sqrt(abs(np.linalg.det(one.affine)))
-        if np.linalg.norm(move) > _DISAGREE * np.hypot(sigma, out.template.sigma_px):
+        sigma = mark.whole_px / _scale(one)
+        if np.linalg.norm(move) > _DISAGREE * np.hypot(sigma, template.whole_px):
             doubts.append(
-                f"the clicks in photos {out.template.photo} and {mark.photo} do not show one spot: "
+                f"the clicks in photos {template.photo} and {mark.photo} do not show one spot: "
                 f"{np.linalg.norm(move):.1f} px between them; the first one counts"
             )
             continue
         moves.append(move.tolist())
-        weight.append(sigma**-2)
-    moved = np.average(moves, axis=0, weights=weight)
-    sigmas = [one.sigma_px for one in found.values()]
+        alone.append(mark.sigma_px / _scale(one))
+        shared.append(mark.shared_px / _scale(one))
+    weight = 1.0 / (np.square(alone) + np.square(shared))
+    weight /= weight.sum()
+    moved = weight @ np.array(moves)
+    # clicks that were matched from one another err alike by what they share
+    unsure = math.hypot(float(np.linalg.norm(weight * alone)), float(weight @ np.array(shared)))
     mark = replace(
-        out.template,
-        u=out.template.u + float(moved[0]),
-        v=out.template.v + float(moved[1]),
+        template,
+        u=template.u + float(moved[0]),
+        v=template.v + float(moved[1]),
         # noise of the template itself, which each match compares with
-        sigma_px=float(np.median(sigmas)) / math.sqrt(2.0),
+        sigma_px=float(np.median([one.sigma_px for one in found.values()])) / math.sqrt(2.0),
+        shared_px=unsure,
     )
-    return SharedClick(mark=mark, sigma_px=float(np.sum(weight)) ** -0.5), tuple(doubts)
+    return mark, tuple(doubts)
 
 
-def _told(
-    out: Matched,
-    found: _Round,
-    shared: SharedClick,
-    marks: dict[str, Mark],
-    place: MeasuredPoints,
-) -> Matched:
+def _told(out: Matched, found: _Round, marks: dict[str, Mark], place: MeasuredPoints) -> Matched:
     """Result without the matches that do not fit."""
     point = place[0]
     used = dict(zip(point.photo_ids, point.used, strict=True))
@@ -364,7 +367,7 @@ def _told(
     out = replace(out, refused=refused)
     fits = [key for key in found.found if key not in wrong]
     left = max((misfit[key] for key, is_used in used.items() if is_used), default=0.0)
-    if not used[shared.mark.photo] or left > BLUNDER or not fits:
+    if not used[out.template.photo] or left > BLUNDER or not fits:
         return replace(out, why_not=f"what was found {DOES_NOT_FIT} (w = {left:.1f})")
     clicked = {mark.photo for mark in out.clicks}
     matches = [
@@ -372,11 +375,6 @@ def _told(
             mark=marks[key],
             covariance=found.found[key].covariance,
             quality=found.found[key].quality,
-            sigma_kept_px=kept_sigma(
-                marks[key].sigma_px,
-                shared.sigma_px * float(np.sqrt(abs(np.linalg.det(found.found[key].affine)))),
-                point.n_rays,
-            ),
         )
         for key in fits
         if key not in clicked
@@ -384,4 +382,5 @@ def _told(
     if not matches:
         return replace(out, why_not=_why(found.refused | out.refused))
     matches.sort(key=lambda one: -one.quality)
-    return replace(out, matches=tuple(matches), place=place)
+    own = tuple(mark for key, mark in marks.items() if key in clicked)
+    return replace(out, own=own, matches=tuple(matches), place=place)

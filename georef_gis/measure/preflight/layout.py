@@ -60,7 +60,8 @@ class Layout:
         """
         if relief >= self.height:
             raise GeometryError(
-                f"ground {relief:.0f} m higher reaches the flying height of {self.height:.0f} m"
+                f"ground {relief:.0f} m higher reaches the flying height of {self.height:.0f} m; "
+                "fly higher, or correct the relief (m)"
             )
         scale = (self.height - relief) / self.height
         return 1.0 - self.base / (self.along * scale), 1.0 - self.spacing / (self.across * scale)

@@ -18,6 +18,9 @@ MOST = 300
 # names that stand in one row
 MOST_NAMES = 12
 KINDS = ("tool", "photo", "point", "asset")
+# Outcomes as the runner records them: what went wrong with a part of the project, and a question
+# that could not be answered, which says nothing about the project.
+FAILED, REFUSED = "failed", "refused"
 _WORD = re.compile(r"[\w.-]*\w")
 
 
@@ -40,7 +43,7 @@ def all_doubts(facts: Facts, assets: AssetFacts | None) -> list[Doubt]:
     tools = [
         Doubt(kind="tool", name=_tool(run), text=line)
         for run in facts.runs
-        if _tool(run) != "report"
+        if _tool(run) != "report" and run["outcome"] != REFUSED
         for line in _lines(run)
         if not any(d.text in line and d.name in line for d in photos)
     ]
@@ -56,13 +59,13 @@ def doubt_items(facts: Facts, assets: AssetFacts | None) -> list[Item]:
     told = f"{plural(len(rows), 'doubt')}: {told}" if told else "nothing was doubtful"
     more = len(rows) - MOST
     told += f"; {more} more stand in the tables of georef.gpkg" if more > 0 else ""
-    failed = [_tool(run) for run in facts.runs if run["outcome"] not in (DONE, "started")]
+    failed = any(run["outcome"] == FAILED for run in facts.runs)
     return [
         Table(
             title="All doubts", columns=("Of", "Which", "Doubt"), rows=rows[:MOST], words=(0, 1, 2),
             look="What tools, photos, points and assets said against themselves; alike ones share "
             "a row.",
-            verdict=judged(told + ".", fine=not rows, bad=bool(failed)),
+            verdict=judged(told + ".", fine=not rows, bad=failed),
         )
     ]  # fmt: skip
 
@@ -132,8 +135,9 @@ def _assets(found: AssetFacts | None) -> list[Doubt]:
         lines = list(asset.problems)
         if quality is None or quality.sigma_e is None:
             lines.append("has no sigmas: its place was drawn or moved by hand")
-        elif found.photos and set(quality.photo_ids) - found.photos:
-            lines.append("was clicked in a photo that is no longer in the project")
+        elif found.photos and (gone := [p for p in quality.photo_ids if p not in found.photos]):
+            lines.append(f"was clicked in {few(gone)}, no longer in the project: it stays as "
+                         "stored")  # fmt: skip
         out += [Doubt(kind="asset", name=name, text=line) for line in lines]
     far = "is far less certain than others of its class"
     return out + [

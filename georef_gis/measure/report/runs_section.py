@@ -61,7 +61,7 @@ def _runs(facts: Facts, without: str) -> Table:
         )
         for run in runs
     ]  # fmt: skip
-    bad = [row[0] for row in rows if row[4] != "done"]
+    bad = [row[0] for row in rows if row[4] not in ("done", "refused")]
     total = sum(float(run["duration_s"] or 0.0) for run in runs)
     told = f"{plural(len(rows), 'tool')} in {total:.0f} s of working time"
     told += f"; not done: {few(bad)}" if bad else "; all done"

@@ -89,8 +89,11 @@ class Rules:
         formula = next((f for f in self.formulas if f.from_mph <= speed_mph <= f.to_mph), None)
         if formula is None:
             spans = ", ".join(_span(f) for f in self.formulas)
-            raise InputError(f"{speed_mph:g} mph: the manual has taper lengths for {spans}; "
-                             "give the speed it is posted with", field="speed_mph")  # fmt: skip
+            raise InputError(
+                f"{speed_mph:g} mph: the manual has taper lengths for {spans}; give the speed it "
+                "is posted with",
+                field="zone.speed_mph",
+            )
         per_offset = taper.share * speed_mph**formula.power / formula.divisor
         return Requirement(low=0.0, per_offset=per_offset,
                            source=f"{formula.source}; {taper.source}")  # fmt: skip
@@ -116,14 +119,14 @@ class Rules:
         """
         if road_type not in self.signs:
             raise InputError(f"{road_type!r} is no type of road; use one of "
-                             f"{', '.join(self.signs)}", field="road_type")  # fmt: skip
+                             f"{', '.join(self.signs)}", field="zone.road_type")  # fmt: skip
         source = self.signs_source[road_type]
         return [Requirement(low=low, source=source) for low in self.signs[road_type]]
 
     def _taper(self, kind: str) -> _TaperKind:
         if kind not in self.tapers:
             raise InputError(f"{kind!r} is no kind of taper; use one of {', '.join(self.tapers)}",
-                             field="kind")  # fmt: skip
+                             field="taper.kind")  # fmt: skip
         return self.tapers[kind]
 
 
@@ -156,7 +159,7 @@ def load_rules(edition: str = DEFAULT_EDITION, *, folder: Path = Path()) -> Rule
         source = str(path)
         if not re.search(r"\.toml$", edition) or not path.is_file():
             raise InputError(f"{edition!r} is neither an edition ({', '.join(editions())}) nor a "
-                             "TOML file", field="rules")  # fmt: skip
+                             "TOML file; give one of them", field="zone.rules")  # fmt: skip
         text = path.read_text("utf-8", "replace")
     try:
         return _rules(tomllib.loads(text))

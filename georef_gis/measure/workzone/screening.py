@@ -28,6 +28,7 @@ from georef_gis.measure.workzone.verdicts import (
     verdict_of,
     verdict_of_all,
 )
+from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 
 # A distance of fewer sigmas does not tell which of two devices comes first.
 _FEWEST_SIGMAS = 3.0
@@ -172,6 +173,7 @@ def _taper_length(taper: TaperCheck, measured: Measured, rules: Rules, speed: fl
         raise InputError("needs its offset: give offset_ft, or an edge line that runs with the "
                          "road", source=taper.name)  # fmt: skip
     ends = measured.subset([taper.devices[0], taper.devices[-1], *taper.edge])
+    _check_offset(taper, float(np.linalg.norm(ends.xy[1] - ends.xy[0])))
 
     def length_and_offset(xy: Array) -> Array:
         if len(taper.edge) >= 2:
@@ -200,6 +202,17 @@ def _taper_length(taper: TaperCheck, measured: Measured, rules: Rules, speed: fl
         replace(required, low=low),
         note if required.per_offset else "",
     )
+
+
+def _check_offset(taper: TaperCheck, distance: float) -> None:
+    """Refuse an offset across the road, m, that the ends of the taper do not lie apart."""
+    if taper.offset is not None and taper.offset >= distance:
+        raise InputError(
+            f"{taper.offset / FOOT:g} ft is no offset of a taper whose ends lie "
+            f"{distance / FOOT:.1f} ft apart; give the feet that it leads to the side",
+            source=f"taper {taper.name}",
+            field="offset_ft",
+        )
 
 
 def _offset(taper: TaperCheck, measured: float) -> float:

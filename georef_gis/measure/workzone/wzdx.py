@@ -8,6 +8,7 @@ the standard and goes to a file beside it.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -15,6 +16,7 @@ from typing import Any
 
 from georef_gis.errors import ExportError, InputError
 from georef_gis.measure.workzone.verdicts import CERTAIN, Finding
+from georef_gis.measure.workzone.wzdx_direction import direction_doubts
 from georef_gis.measure.workzone.wzdx_rules import WzdxRules, check_feed, wzdx_rules
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 
@@ -30,7 +32,8 @@ _MUST = ("publisher", "organization_name", "data_source_id", "road_names", "dire
 _OPTIONAL = ("version", "location_method", "name", "description", "contact_name", "contact_email",
              "update_frequency", "creation_date", "beginning_cross_street", "ending_cross_street",
              "beginning_milepost", "ending_milepost", "reduced_speed_limit_mph", "types_of_work",
-             "cc0_license", "lane_count", "lane", *_VERIFIED)  # fmt: skip
+             "cc0_license", "lane_count", "lane", "direction_as_signed", *_VERIFIED)  # fmt: skip
+_LISTS = {"road_names": '["I-79"]', "devices": '["T1", "G1"]', "types_of_work": '["painting"]'}
 _PLAIN = ("beginning_cross_street", "ending_cross_street", "beginning_milepost",
           "ending_milepost")  # fmt: skip
 
@@ -52,10 +55,11 @@ class DevicePlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WzdxSettings:
-    """Table [wzdx] of ``work_zone.toml``, complete and with known keys only."""
+    """Table [wzdx] of ``work_zone.toml``, its `source`, complete and with known keys only."""
 
     values: Mapping[str, Any]
     rules: WzdxRules
+    source: str = ""
 
     @property
     def lines(self) -> list[str]:
@@ -80,7 +84,10 @@ def wzdx_settings(table: Mapping[str, Any], source: str, *, suggestion: str = ""
     for key in table.keys() - known:
         raise InputError(f"is no key; use {', '.join(sorted(known))}", source=source,
                          field=f"wzdx.{key}")  # fmt: skip
-    rules = wzdx_rules(str(table.get("version") or "4.2"))
+    try:
+        rules = wzdx_rules(str(table.get("version") or "4.2"))
+    except InputError as error:
+        raise InputError(str(error), source=source) from error
     missing = [f"wzdx.{key}" for key in _MUST if table.get(key) in (None, "", [])]
     hints = {
         "wzdx.direction": f" ({', '.join(rules.words['direction'])})",
@@ -91,12 +98,20 @@ def wzdx_settings(table: Mapping[str, Any], source: str, *, suggestion: str = ""
     if missing:
         told = ", ".join(name + hints.get(name, "") for name in missing)
         raise InputError(f"fill in what is missing, it is not made up: {told}", source=source)
-    for key in ("road_names", "devices", "types_of_work"):
+    for key, such in _LISTS.items():
         if key in table and not _is_texts(table[key]):
-            raise InputError('must be a list of texts, such as ["I-79"]', source=source,
+            raise InputError(f"must be a list of texts, such as {such}", source=source,
                              field=f"wzdx.{key}")  # fmt: skip
+    for line, times in Counter(table["devices"]).items():
+        if times > 1:
+            raise InputError(f"names line {line} {times} times; the feed would run along it as "
+                             "often: name each once", source=source,
+                             field="wzdx.devices")  # fmt: skip
+    if not isinstance(table.get("direction_as_signed", False), bool):
+        raise InputError(f"{table['direction_as_signed']!r} is not true or false", source=source,
+                         field="wzdx.direction_as_signed")  # fmt: skip
     _check_lanes(table, source)
-    return WzdxSettings(values=dict(table), rules=rules)
+    return WzdxSettings(values=dict(table), rules=rules, source=source)
 
 
 def _is_texts(value: Any) -> bool:
@@ -147,13 +162,16 @@ def build_feed(
     Raises
     ------
     InputError
-        If there are fewer than two devices.
+        If there are fewer than two devices, or they run against the stated direction.
     ExportError
         If the feed breaks a rule of the standard, with all that it breaks.
     """
     if len(places) < 2:
         raise InputError(f"{len(places)} devices on the lines {', '.join(settings.lines)}; a zone "
-                         "has a first and a last one", field="wzdx.devices")  # fmt: skip
+                         "has a first and a last one", source=settings.source,
+                         field="wzdx.devices")  # fmt: skip
+    # what is doubtful is the caller's to tell
+    direction_doubts(settings, places)
     values, rules = settings.values, settings.rules
     feed = {
         "feed_info": _feed_info(values, rules, now),

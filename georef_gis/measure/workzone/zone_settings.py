@@ -24,8 +24,10 @@ _LANE = {"name": str, "line": str, "edge": str, "min_ft": float, "reduced_width"
 _SIGNS = {"line": str, "taper": str}
 # Edges that the template lists
 _MOST_EDGES = 20
+# mph; beyond it is a slip of the hand, or km/h
+SPEEDS = (5.0, 100.0)
 # Degrees clockwise from north
-_COMPASS = {word: 45.0 * k for k, word in enumerate(("N", "NE", "E", "SE", "S", "SW", "W", "NW"))}
+COMPASS = {word: 45.0 * k for k, word in enumerate(("N", "NE", "E", "SE", "S", "SW", "W", "NW"))}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,8 @@ class ZoneSettings:
     ----------
     speed_mph
         None if it is not stated.
+    travel_written
+        `travel` as it stands in the file.
     signs
         (line of the signs, line of the taper behind them).
     wzdx
@@ -68,6 +72,7 @@ class ZoneSettings:
     road_type: str = ""
     rules: str = DEFAULT_EDITION
     travel: float | None = None
+    travel_written: str = ""
     tapers: tuple[TaperSettings, ...] = ()
     tangents: tuple[str, ...] = ()
     lanes: tuple[LaneSettings, ...] = ()
@@ -122,10 +127,11 @@ def read_zone(path: Path) -> ZoneSettings:
         raise InputError("must be a table", source=source, field="wzdx")
     return ZoneSettings(
         source=source,
-        speed_mph=_positive(zone.get("speed_mph"), source, "zone.speed_mph"),
+        speed_mph=_speed(zone.get("speed_mph"), source),
         road_type=zone.get("road_type", ""),
         rules=zone.get("rules") or DEFAULT_EDITION,
         travel=_travel(zone.get("travel"), source),
+        travel_written=str(zone.get("travel", "")),
         tapers=tuple(_taper(t, source) for t in _list(read, "taper", _TAPER, source)),
         tangents=tuple(
             _must(t, "line", source, "tangent") for t in _list(read, "tangent", _TANGENT, source)
@@ -204,17 +210,29 @@ def _positive(value: Any, source: str, name: str) -> float | None:
     return float(value)
 
 
+def _speed(value: Any, source: str) -> float | None:
+    """Speed, mph; one of a road."""
+    speed = _positive(value, source, "zone.speed_mph")
+    if speed is not None and not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise InputError(
+            f"{speed:g} mph is no speed of a road; give {SPEEDS[0]:g} to {SPEEDS[1]:g} mph",
+            source=source,
+            field="zone.speed_mph",
+        )
+    return speed
+
+
 def _travel(value: Any, source: str) -> float | None:
     if value in (None, ""):
         return None
-    degrees = _COMPASS.get(str(value).strip().upper())
-    if degrees is None:
+    degrees = COMPASS.get(str(value).strip().upper())
+    if degrees is None and not isinstance(value, bool):
         try:
             degrees = float(value)
         except (TypeError, ValueError):
-            degrees = float("nan")
-    if not 0.0 <= degrees <= 360.0:
-        raise InputError(f"{str(value)[:20]!r} is no direction; use {', '.join(_COMPASS)} or "
+            degrees = None
+    if degrees is None or not 0.0 <= degrees <= 360.0:
+        raise InputError(f"{str(value)[:20]!r} is no direction; use {', '.join(COMPASS)} or "
                          "degrees clockwise from north", source=source,
                          field="zone.travel")  # fmt: skip
     return degrees
@@ -224,7 +242,7 @@ def _travel(value: Any, source: str) -> float | None:
 
 _TEMPLATE = """\
 # A work zone: what photos cannot tell of it. `georef screen-work-zone` reads all but [wzdx],
-# `georef wzdx` reads [zone], [[lane]] and [wzdx]. What is empty is asked for, not made up.
+# `georef wzdx` reads all. What is empty is asked for, not made up.
 #
 # Devices and signs belong to a line by their attribute `line`.{found}
 
@@ -235,8 +253,8 @@ speed_mph = 0
 road_type = ""
 # Edition of the MUTCD ({editions}), or a TOML file of the same form.
 rules = "{edition}"
-# Where traffic goes: N, NE, E ... or degrees clockwise from north. Needed where devices have no
-# attribute `order`.
+# Which way the traffic beside the devices goes: N, NE, E ... or degrees clockwise from north.
+# Needed where devices have no attribute `order`.
 travel = ""
 
 # A taper. kind: {kinds}.
@@ -271,7 +289,9 @@ publisher = ""
 organization_name = ""
 data_source_id = ""
 road_names = []
-# {directions}
+# {directions}: as the route is
+# signed. It is compared with the way the devices run; `direction_as_signed = true` says that it is
+# right where the road runs otherwise.
 direction = ""
 # UTC, such as 2026-03-31T06:00:00Z
 start_date = ""

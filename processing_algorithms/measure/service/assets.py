@@ -11,12 +11,12 @@ from pydantic import Field
 
 from georef_gis.errors import GeometryError, InputError
 from georef_gis.toolbox.services import ConflictError, Request, call
+from processing_algorithms.measure.marks import CLICK
 from processing_algorithms.measure.service.base import (
     LONGEST_ID,
     LONGEST_TEXT,
     MOST_CLICKS,
     MOST_VERTICES,
-    SIGMA_CLICK,
     NothingRequest,
     SessionService,
     VertexRequest,
@@ -169,7 +169,7 @@ class AssetCalls(SessionService):
     def _measure(self, one: Clicked) -> tuple[Any, list[str]]:
         from processing_algorithms.assets.asset_clicks import measure_clicked
 
-        (found,) = measure_clicked(self.session(), [one], sigma_px=SIGMA_CLICK)
+        (found,) = measure_clicked(self.session(), [one], sigma_px=CLICK)
         if found.draft is None:
             raise GeometryError(found.refused)
         return found.draft, list(found.doubts)
@@ -238,10 +238,7 @@ class AssetCalls(SessionService):
 
     def _clicked_points(self) -> tuple[list[Asset], MeasuredPoints | None]:
         """Point assets that have clicks, and their points, measured once for each state."""
-        from dataclasses import replace
-
-        from georef_gis.model.control import Mark
-        from processing_algorithms.assets.asset_clicks import is_clicked
+        from processing_algorithms.assets.asset_clicks import is_clicked, mark_of
 
         state = self.asset_revision(), runs_done(self.project)
         kept = self._measured
@@ -256,9 +253,8 @@ class AssetCalls(SessionService):
             and all(click.photo_id in known for click in asset.quality.clicks)
         ]  # fmt: skip
         marks = [
-            replace(Mark(name=str(i), photo=c.photo_id, u=c.u, v=c.v),
-                    sigma_px=c.sigma_px or SIGMA_CLICK)
-            for i, asset in enumerate(chosen) if asset.quality for c in asset.quality.clicks
+            mark_of(str(i), click, CLICK)
+            for i, asset in enumerate(chosen) if asset.quality for click in asset.quality.clicks
         ]  # fmt: skip
         points = session.measure(marks, on_fail="skip") if marks else None
         self._measured = state, chosen, points
@@ -272,10 +268,11 @@ def _clicked(
     from processing_algorithms.assets.asset_clicks import Clicked
 
     clicks: list[Click] = [
-        Click(photo_id=c.photo, u=c.u, v=c.v, vertex=number, sigma_px=c.sigma_px)
+        Click(photo_id=c.photo, u=c.u, v=c.v, vertex=number, sigma_px=c.sigma_px,
+              shared_px=c.shared_px, on_ground=c.on_ground)
         for number, vertex in enumerate(vertices)
         for c in vertex.clicks
-    ]
+    ]  # fmt: skip
     if len(clicks) > 10 * MOST_CLICKS:
         raise InputError(f"{len(clicks)} clicks, more than {10 * MOST_CLICKS}; use fewer")
     return Clicked(kind=kind, name=name, note=note, attributes=attributes, clicks=tuple(clicks))
@@ -297,9 +294,10 @@ def told_asset(asset: Asset, unit: float) -> dict[str, Any]:
              "conf", "dof", "n_rays", "method")  # fmt: skip
     out["quality"] = {name: getattr(quality, name) for name in names}
     out["clicks"] = [
-        {"photo": c.photo_id, "u": c.u, "v": c.v, "vertex": c.vertex, "sigma_px": c.sigma_px}
+        {"photo": c.photo_id, "u": c.u, "v": c.v, "vertex": c.vertex, "sigma_px": c.sigma_px,
+         "shared_px": c.shared_px, "on_ground": c.on_ground}
         for c in quality.clicks
-    ]
+    ]  # fmt: skip
     out["ellipse"] = _ring(asset, quality, unit)
     return out
 

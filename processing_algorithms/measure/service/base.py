@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field
 
 from georef_gis.toolbox.services import Renewed, Request, Service
+from processing_algorithms.measure.marks import CLICK
 from processing_algorithms.state import runs_done
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 LONGEST_ID, LONGEST_TEXT = 500, 10_000
 MOST_CLICKS, MOST_VERTICES = 200, 2000
-# px, one sigma of a click that states none
-SIGMA_CLICK = 0.5
 # Probability of the ellipses that a page draws.
 CONF = 0.95
 
@@ -38,11 +37,17 @@ class PhotoRequest(Request):
 
 
 class ClickRequest(PhotoRequest):
-    """A pixel of a photo; (0, 0) = centre of the first one."""
+    """A pixel of a photo; (0, 0) = centre of the first one.
+
+    `shared_px` is what clicks that were matched from one another err by alike, `on_ground` says
+    that the spot lies on the ground; see `Mark`.
+    """
 
     u: float = Field(ge=-1e6, le=1e6)
     v: float = Field(ge=-1e6, le=1e6)
     sigma_px: float | None = Field(default=None, gt=0, le=1000)
+    shared_px: float = Field(default=0.0, ge=0, le=1000)
+    on_ground: bool = False
 
 
 class VertexRequest(Request):
@@ -92,7 +97,9 @@ def marks_of(vertices: Sequence[VertexRequest]) -> list[Mark]:
             photo=click.photo,
             u=click.u,
             v=click.v,
-            sigma_px=SIGMA_CLICK if click.sigma_px is None else click.sigma_px,
+            sigma_px=CLICK if click.sigma_px is None else click.sigma_px,
+            shared_px=click.shared_px,
+            on_ground=click.on_ground,
         )
         for number, vertex in enumerate(vertices)
         for click in vertex.clicks
@@ -119,13 +126,14 @@ def told_points(points: MeasuredPoints) -> list[dict[str, Any]]:
                 "photo": photo,
                 "u": float(point.uv[k, 0]),
                 "v": float(point.uv[k, 1]),
+                "sigma_px": float(point.sigma_px[k]),
                 "used": bool(point.used[k]),
                 "residual_px": [float(r) for r in point.residuals[k]],
                 "normalised": float(point.normalised[k]),
             }
             for k, photo in enumerate(point.photo_ids)
         ]
-        for name in ("photo", "u", "v", "photos", "pixels"):
+        for name in ("photo", "u", "v", "photos", "pixels", "sigma_px"):
             row.pop(name)
         row["doubts"] = list(point.doubts)
         ring = ring_of(ellipse, (row["easting"], row["northing"]), unit)

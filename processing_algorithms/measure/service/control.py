@@ -12,10 +12,10 @@ from pydantic import Field
 from georef_gis.errors import InputError
 from georef_gis.toolbox.services import ConflictError, Request, call
 from processing_algorithms.measure.mark_file import has_rows, name_mark_file, set_mark
+from processing_algorithms.measure.marks import CLICK
 from processing_algorithms.measure.service.base import (
     LONGEST_ID,
     LONGEST_TEXT,
-    SIGMA_CLICK,
     ClickRequest,
     NothingRequest,
     SessionService,
@@ -218,14 +218,14 @@ class ControlCalls(SessionService):
         if not (-0.5 <= request.u < camera.width - 0.5 and -0.5 <= request.v < camera.height - 0.5):
             raise InputError(f"pixel ({request.u:.1f}, {request.v:.1f}) lies outside of photo "
                              f"{request.photo} ({camera.width} x {camera.height} px)")  # fmt: skip
-        sigma = SIGMA_CLICK if request.sigma_px is None else request.sigma_px
+        sigma = CLICK if request.sigma_px is None else request.sigma_px
         self._set(request.name, request.photo, (request.u, request.v), request.before, sigma)
         return {"mark": self._marks().get((request.name, request.photo))}
 
     @call(UnmarkRequest)
     def unmark(self, request: UnmarkRequest) -> dict[str, Any]:
         """Take a mark out of the file of marks."""
-        self._set(request.name, request.photo, None, request.before, SIGMA_CLICK)
+        self._set(request.name, request.photo, None, request.before, CLICK)
         return {}
 
     def _set(

@@ -18,6 +18,7 @@ from processing_algorithms.measure.service.base import (
 if TYPE_CHECKING:
     from georef_gis.measure.click_match.match import Matched
     from georef_gis.measure.measured import MeasuredPoints
+    from georef_gis.model.control import Mark
 
 
 class MatchRequest(VertexRequest):
@@ -36,10 +37,11 @@ class MatchCalls(SessionService):
 
         Asked with the clicks of ONE vertex. The answer holds
 
-        - ``clicks``: the vertex's clicks from now on, the user's own first and as they were, then
-          the matches, best first, each with ``photo, u, v, sigma_px`` (send it back with the click:
-          it holds what all share, the user's click), ``matched``, ``sigma_match_px`` (of the match
-          alone) and ``quality`` (correlation); the last two null for own clicks;
+        - ``clicks``: the vertex's clicks from now on, the user's own first, where several of them
+          show the spot at the pixel that they mean together, then the matches, best first, each
+          with ``photo, u, v, sigma_px, shared_px, on_ground`` (send them back with the click: all
+          share the user's error), ``matched``, ``sigma_match_px`` (of the match alone) and
+          ``quality`` (correlation); the last two null for own clicks;
         - ``place`` and ``before``: with and without the matches, like a point of `figure`, or null;
         - ``template``: the photo and the side of the patch, px, that was matched, or null;
         - ``refused``: photos in which it was not found, and why: hints, not errors;
@@ -72,13 +74,17 @@ def _told(points: MeasuredPoints) -> dict[str, Any]:
 
 def _told_clicks(found: Matched) -> list[dict[str, Any]]:
     own = [
-        {"photo": mark.photo, "u": mark.u, "v": mark.v, "sigma_px": mark.sigma_px,
-         "matched": False, "sigma_match_px": None, "quality": None}
-        for mark in found.clicks
-    ]  # fmt: skip
+        {**_told_mark(mark), "matched": False, "sigma_match_px": None, "quality": None}
+        for mark in found.own or found.clicks
+    ]
     matched = [
-        {"photo": one.mark.photo, "u": one.mark.u, "v": one.mark.v, "sigma_px": one.sigma_kept_px,
-         "matched": True, "sigma_match_px": one.sigma_px, "quality": one.quality}
+        {**_told_mark(one.mark), "matched": True, "sigma_match_px": one.sigma_px,
+         "quality": one.quality}
         for one in found.matches
     ]  # fmt: skip
     return own + matched
+
+
+def _told_mark(mark: Mark) -> dict[str, Any]:
+    return {"photo": mark.photo, "u": mark.u, "v": mark.v, "sigma_px": mark.sigma_px,
+            "shared_px": mark.shared_px, "on_ground": mark.on_ground}  # fmt: skip

@@ -1,7 +1,7 @@
 // The form of an asset, made from its class.
 
 import { el, field, select } from "./dom.js";
-import { state } from "./store.js";
+import { state, tell } from "./store.js";
 
 export const classOf = (name) => state.domain.find((one) => one.name === name);
 
@@ -55,10 +55,17 @@ function control(attribute, value) {
   return input;
 }
 
+/** Select of the classes of a shape. None is proposed: a class that nobody chose is a wrong one. */
+function classSelect(shape, chosen) {
+  const isGone = chosen && classOf(chosen)?.geometry !== shape;
+  const first = isGone ? [[chosen, `${chosen} (not known)`]] : [];
+  if (!chosen) first.push(["", "choose a class"]);
+  return select([...first, ...classOptions(shape)], chosen, { required: true });
+}
+
 /** Form for a shape: `content()` gives what was entered. */
 export function assetForm(shape, values, onKind = () => {}) {
-  const options = classOptions(shape);
-  const kind = select(options, values.kind ?? options[0]?.options[0]?.[0] ?? "");
+  const kind = classSelect(shape, values.kind ?? "");
   const name = el("input", { type: "text", value: values.name ?? "", autocomplete: "off" });
   const note = el("textarea", { rows: 2, value: values.note ?? "" });
   const place = el("div");
@@ -87,9 +94,21 @@ export function assetForm(shape, values, onKind = () => {}) {
   kind.addEventListener("change", () => {
     showAttributes(entered());
     onKind(kind.value);
+    tell("asset-kind");
   });
   showAttributes(values.attributes ?? {});
-  const node = el("div", {}, field("Class", kind), field("Name", name), place, field("Note", note));
+  // Of a new asset: what may be the same thing, see duplicates.js.
+  const alike = values.id ? null : el("div", { class: "alike", role: "status" });
+  kind.classList.add("kind");
+  const node = el(
+    "div",
+    {},
+    field("Class", kind),
+    alike,
+    field("Name", name),
+    place,
+    field("Note", note),
+  );
   return {
     node,
     nameInput: name,
@@ -99,6 +118,10 @@ export function assetForm(shape, values, onKind = () => {}) {
       note: note.value.trim(),
       attributes: entered(),
     }),
-    isValid: () => [...inputs.values()].every((input) => input.reportValidity()),
+    isValid: () => {
+      // The buttons lie over the foot of the form, and over what the browser would show there.
+      if (!kind.value) kind.scrollIntoView({ block: "center" });
+      return [kind, ...inputs.values()].every((input) => input.reportValidity());
+    },
   };
 }

@@ -259,6 +259,7 @@ export function methodWords(quality) {
   if (!quality) return "drawn elsewhere";
   if (quality.method === "locate") return "1 photo and ground";
   if (quality.method === "intersect") return plural(quality.n_rays, "photo");
+  if (quality.method === "intersect_ground") return `${plural(quality.n_rays, "photo")}, ground`;
   return quality.method || NOTHING;
 }
 

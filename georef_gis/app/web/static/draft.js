@@ -7,11 +7,14 @@ import { on, setTool, state, tell } from "./store.js";
 export const draft = {
   // "point", "line" or "polygon"
   shape: "point",
-  // each {clicks: [{photo, u, v}]}; a click that was found by matching has `sigma_px` and `matched`
+  // each {clicks: [{photo, u, v}]}; one that was found by matching, or is what it was found by, has
+  // `sigma_px` and `shared_px` too
   vertices: [],
   active: 0,
   // whether the next click shows the active vertex in another photo, not a new vertex
   same: false,
+  // whether what is clicked is said to lie on the ground; it stays so for the next thing
+  onGround: false,
   result: null,
   sights: [],
   // the stored asset that is measured anew
@@ -27,12 +30,17 @@ export const point = (i) => draft.result?.points[String(i)] ?? null;
 export const refusal = (i) => draft.result?.refused[String(i)] ?? null;
 /** Clicks as the server takes them: what the page notes of them stays here. */
 export const sent = (clicks) =>
-  clicks.map(({ photo, u, v, sigma_px: sigma }) => ({
-    photo,
-    u,
-    v,
-    ...(sigma ? { sigma_px: sigma } : {}),
+  clicks.map((click) => ({
+    ...bare(click),
+    ...(draft.onGround ? { on_ground: true } : {}),
   }));
+const bare = ({ photo, u, v, sigma_px: sigma, shared_px: shared }) => ({
+  photo,
+  u,
+  v,
+  ...(sigma ? { sigma_px: sigma } : {}),
+  ...(shared ? { shared_px: shared } : {}),
+});
 export const sentVertices = (vertices) => vertices.map(({ clicks }) => ({ clicks: sent(clicks) }));
 
 export const activeVertex = () => draft.vertices[draft.active] ?? null;
@@ -66,10 +74,11 @@ export function clear() {
 export function edit(asset) {
   clear();
   draft.shape = asset.shape;
-  for (const { photo, u, v, vertex, sigma_px: sigma } of asset.clicks) {
-    draft.vertices[vertex] ??= { clicks: [] };
-    draft.vertices[vertex].clicks.push({ photo, u, v, ...(sigma ? { sigma_px: sigma } : {}) });
+  for (const click of asset.clicks) {
+    draft.vertices[click.vertex] ??= { clicks: [] };
+    draft.vertices[click.vertex].clicks.push(bare(click));
   }
+  draft.onGround = asset.clicks.some((click) => click.on_ground);
   draft.editing = asset;
   draft.same = true;
   setTool(TOOLS[asset.shape]);
@@ -129,6 +138,12 @@ export function activate(i) {
 export function setSame(same) {
   draft.same = same;
   tell("draft");
+}
+
+/** Say whether all that is clicked lies on the ground. */
+export function setOnGround(on) {
+  draft.onGround = on;
+  changed();
 }
 
 /** The next click begins a new point or vertex. */

@@ -1,7 +1,6 @@
-// Help with the shortcuts, and the report.
+// Help with the shortcuts.
 
 import { button, byId, el, fill } from "./dom.js";
-import { state } from "./store.js";
 
 export const SHORTCUTS = [
   ["?", "this help"],
@@ -40,7 +39,8 @@ const WORDS = [
     "time. Every edit can be undone.",
 ];
 
-function head(id, title, dialog) {
+/** Title of a dialog, and what closes it. */
+export function dialogHead(id, title, dialog) {
   return el(
     "div",
     { class: "head" },
@@ -54,7 +54,7 @@ export function showHelp() {
   const dialog = byId("help");
   fill(
     dialog,
-    head("help-title", "Help", dialog),
+    dialogHead("help-title", "Help", dialog),
     el(
       "div",
       { class: "body" },
@@ -78,27 +78,6 @@ export function showHelp() {
         "OpenLayers 10 draws map and photos (BSD 2-Clause): /static/vendor/ol.LICENSE.md",
       ),
     ),
-  );
-  dialog.showModal();
-}
-
-export function showReport() {
-  const dialog = byId("report");
-  const frame = el("iframe", {
-    src: "/report",
-    title: "Report of the project",
-    // It may do nothing but be looked at.
-    sandbox: "",
-  });
-  const none = el(
-    "p",
-    { class: "body" },
-    "There is no report yet. Run the tool “Report page” (Tools), or all steps.",
-  );
-  fill(
-    dialog,
-    head("report-title", `Report: ${state.facts.name}`, dialog),
-    state.facts.report ? frame : none,
   );
   dialog.showModal();
 }

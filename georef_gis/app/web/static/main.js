@@ -8,12 +8,15 @@ import { button, byId, el, fill, isTyping, say } from "./dom.js";
 import * as drafts from "./draft.js";
 import "./draftviews.js";
 import { fixed, short } from "./format.js";
-import { showHelp, showReport } from "./help.js";
+import { showHelp } from "./help.js";
 import * as layers from "./layerspanel.js";
 import * as map from "./mapview.js";
 import * as matching from "./matching.js";
 import * as measure from "./measurepanel.js";
+// After the panel: it fills a place in its form.
+import "./duplicates.js";
 import * as photo from "./photoview.js";
+import { loadReport, showReport } from "./report.js";
 import { on, select, setTool, state, tell } from "./store.js";
 import * as table from "./table.js";
 import * as tools from "./tools.js";
@@ -270,6 +273,7 @@ async function loadProject() {
   );
   makePhotoBar();
   layers.drawPanel();
+  loadReport();
 }
 
 /** Everything that a run may have changed; what is being measured stays. */

@@ -3,6 +3,7 @@
 import { ask, picture } from "./api.js";
 import { byId, say, throttled } from "./dom.js";
 import { nearest } from "./hits.js";
+import { scaleBar } from "./scalebar.js";
 import * as styles from "./styles.js";
 import { isSelected, on, select, state, tell } from "./store.js";
 
@@ -51,7 +52,7 @@ export function makeMap() {
     ],
     controls: ol.control.defaults
       .defaults({ attribution: false, rotate: false })
-      .extend([new ol.control.ScaleLine({ minWidth: 80 })]),
+      .extend([scaleBar(groundResolution)]),
     interactions: ol.interaction.defaults.defaults({
       altShiftDragRotate: false,
       pinchRotate: false,

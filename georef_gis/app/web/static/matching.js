@@ -9,7 +9,8 @@ import { on, tell } from "./store.js";
 const MOST = 8;
 const figure = latest("measure", "figure");
 let looking = false;
-// {vertex, own, found: [click with `taken`], refused, doubts, before, place, after, whyNot}
+// {vertex, own, agreed, found: [click with `taken`], refused, doubts, before, place, after, whyNot}:
+// `agreed` are the own clicks as they go with those that were found
 let proposal = null;
 
 export const isLooking = () => looking;
@@ -32,6 +33,7 @@ export async function find() {
     proposal = {
       vertex: i,
       own,
+      agreed: answer.clicks.filter((one) => !one.matched),
       found: answer.clicks.filter((one) => one.matched).map((one) => ({ ...one, taken: true })),
       refused: answer.refused,
       doubts: answer.doubts,
@@ -59,7 +61,7 @@ export async function toggle(click) {
   else if (chosen.length === mine.found.length) mine.after = mine.place;
   else {
     try {
-      const clicks = sent([...mine.own, ...chosen]);
+      const clicks = sent([...mine.agreed, ...chosen]);
       const found = await figure({ shape: "point", vertices: [{ clicks }] });
       if (!found || mine !== proposal) return;
       mine.after = found.points["0"] ?? null;
@@ -72,17 +74,19 @@ export async function toggle(click) {
 
 /** Take the accepted clicks; Step back gives them up again. */
 export function take() {
-  const clicks = taken().map(({ photo, u, v, sigma_px: sigma, quality }) => ({
-    photo,
-    u,
-    v,
-    sigma_px: sigma,
-    matched: true,
-    quality,
-  }));
-  const { vertex, own } = proposal;
+  const { vertex, agreed } = proposal;
+  const clicks = [...agreed, ...taken()].map(
+    ({ photo, u, v, sigma_px: sigma, shared_px: shared, matched, quality }) => ({
+      photo,
+      u,
+      v,
+      sigma_px: sigma,
+      shared_px: shared,
+      ...(matched ? { matched, quality } : {}),
+    }),
+  );
   proposal = null;
-  setClicks(vertex, [...own, ...clicks]);
+  setClicks(vertex, clicks);
   tell("match");
 }
 

@@ -99,7 +99,28 @@ function vertices() {
         );
       }),
     ),
+    onGround(),
     doubts(),
+  );
+}
+
+/** Whether it lies on the ground: asked for where several photos show it. */
+function onGround() {
+  if (!draft.onGround && draft.vertices.every(({ clicks }) => clicks.length < 2)) return null;
+  return el(
+    "label",
+    {
+      class: "check",
+      title:
+        "The ground's height counts too, unless it contradicts the photos. Not for what stands " +
+        "above it: the top of a cone, the face of a sign.",
+    },
+    el("input", {
+      type: "checkbox",
+      checked: draft.onGround,
+      on: { change: (event) => drafts.setOnGround(event.target.checked) },
+    }),
+    "Clicked on the ground",
   );
 }
 
@@ -123,7 +144,7 @@ const methodOf = (one) =>
     ? "…"
     : one.method === "locate"
       ? "One photo and the ground"
-      : `${plural(one.n_rays, "photo")}, intersected`;
+      : `${plural(one.n_rays, "photo")}${one.method === "intersect" ? ", intersected" : " and the ground"}`;
 
 const matchWords = ({ quality }) => `matched ${Math.round(100 * quality)} %`;
 
@@ -131,7 +152,7 @@ function ray(click, one, i) {
   const found = one?.rays.find(({ photo }) => photo === click.photo);
   const isOut = found && !found.used;
   const off =
-    found && one.method === "intersect"
+    found && one.method !== "locate"
       ? `off ${fixed(Math.hypot(...found.residual_px), 2)} px`
       : pixel(click.u, click.v, 0);
   return el(

@@ -118,6 +118,13 @@ function pointResult() {
   );
 }
 
+/** One sigma of the clicks as they were counted, px. */
+function clickSigmas(rays) {
+  const all = rays.map((ray) => ray.sigma_px);
+  const [least, most] = [Math.min(...all), Math.max(...all)].map((px) => fixed(px, 1));
+  return least === most ? least : `${least} to ${most}`;
+}
+
 function place(one) {
   const { unit } = state.facts.crs;
   return facts([
@@ -130,6 +137,7 @@ function place(one) {
       axes(one.semi_major_m, one.semi_minor_m, one.azimuth_deg),
     ],
     ["Lat, lon", `${fixed(one.lat_deg, 7)}, ${fixed(one.lon_deg, 7)}`],
+    ["Clicks", `± ${clickSigmas(one.rays)} px each`],
     one.dof > 0 && ["σ₀", `${fixed(one.sigma0, 2)} (${plural(one.dof, "degree")} of freedom)`],
   ]);
 }

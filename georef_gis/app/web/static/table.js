@@ -206,7 +206,7 @@ function row(asset, columns) {
       el(
         "td",
         { class: [column.number && "number", column.long && "long"].filter(Boolean).join(" ") },
-        column.text(asset),
+        column.long ? el("div", {}, column.text(asset)) : column.text(asset),
       ),
     ),
   );

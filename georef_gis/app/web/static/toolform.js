@@ -74,10 +74,12 @@ function flag(parameter, preset) {
 }
 
 function other(parameter, preset) {
-  const { type, unit, choices, required, title, help } = parameter;
+  const { type, unit, choices, suggestions, required, title, help } = parameter;
   const before = shown(preset);
   let input;
-  if (choices) {
+  if (suggestions && !isList(parameter)) {
+    input = suggested(parameter, before);
+  } else if (choices) {
     const options = choices.map((one) => [one, one]);
     input = select([["", before ? `as set: ${before}` : "–"], ...options], "", { required });
   } else if (isList(parameter)) {
@@ -92,11 +94,50 @@ function other(parameter, preset) {
       inputmode: ["Number", "Integer"].includes(type) ? "decimal" : undefined,
     });
   }
-  const note = [help, limits(parameter), HELPS[type]].filter(Boolean).join("; ");
-  const row = field(`${title}${unit ? `, ${unit}` : ""}${required ? " *" : ""}`, input, note);
+  const told = [help?.replace(/\.$/, ""), limits(parameter), HELPS[type]].filter(Boolean);
+  const label = `${title}${unit ? `, ${unit}` : ""}${required ? " *" : ""}`;
+  const row = field(label, input.choice ?? input, told.join("; "));
+  input.choice?.after(input.other);
   if (type === "Extent")
     row.append(button("Take what the map shows", () => takeExtent(input), { class: "small" }));
   return [input, row];
+}
+
+// value of the line of a list behind which one types
+const OTHER = "another …";
+
+/** A list whose last line lets one type something else. */
+function suggested({ suggestions, required, title }, before) {
+  const typed = el("input", {
+    type: "text",
+    hidden: true,
+    disabled: true,
+    required: true,
+    autocomplete: "off",
+    spellcheck: false,
+    "aria-label": `${title}: another`,
+  });
+  const choice = select(
+    [
+      ["", before ? `as set: ${before}` : "–"],
+      ...suggestions.map((one) => [one, one]),
+      [OTHER, OTHER],
+    ],
+    "",
+    { required: required && !before },
+  );
+  choice.addEventListener("change", () => {
+    typed.hidden = typed.disabled = choice.value !== OTHER;
+    if (!typed.hidden) typed.focus();
+  });
+  return {
+    choice,
+    other: typed,
+    reportValidity: () => choice.reportValidity() && typed.reportValidity(),
+    get value() {
+      return choice.value === OTHER ? typed.value : choice.value;
+    },
+  };
 }
 
 function limits({ minimum, maximum, above, below, unit }) {

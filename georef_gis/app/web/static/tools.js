@@ -141,13 +141,17 @@ function toolForm() {
   );
 }
 
+/** Start a tool from elsewhere on the page; its progress is in the panel of tools. */
+export async function startTool(id, name, values = {}) {
+  follow({ ...(await post("/api/jobs", { tool: id, values })), name });
+  drawPanel();
+}
+
 async function start() {
   if (!form.isValid()) return;
   form.tell("");
   try {
-    const job = await post("/api/jobs", { tool: chosen.full_id, values: form.values() });
-    follow({ ...job, name: chosen.name });
-    drawPanel();
+    await startTool(chosen.full_id, chosen.name, form.values());
     byId("panel-tools").scrollTop = 0;
   } catch (error) {
     form.tell(error.message);
