@@ -19,6 +19,7 @@ from georef_gis.geodesy import (
     horizontal_crs,
     metres_per_unit,
     parse_crs,
+    vertical_part,
 )
 from georef_gis.model.terrain import DemTerrain, dem_terrain
 from georef_gis.project import Project
@@ -80,13 +81,31 @@ class Dem:
         r, c = np.linspace(0, rows, 9), np.linspace(0, cols, 9)
         xy = np.stack(np.meshgrid(left + c * a, top + r * e), axis=-1)
         geo = self.frame.geo_from_map(np.concatenate([xy, np.zeros((9, 9, 1))], axis=-1))
-        geoid = self.project.settings.gnss.geoid
-        n = geoid_undulation(geo[..., 0], geo[..., 1], geoid=geoid)
+        n = self._undulation(geo)
         i, j = (np.arange(rows) + 0.5) / rows * 8, (np.arange(cols) + 0.5) / cols * 8
         by_col = np.stack([np.interp(j, np.arange(9), row) for row in n])
         lower = np.minimum(i.astype(int), 7)
         fraction = (i - lower)[:, None]
         return np.asarray(values + by_col[lower] * (1 - fraction) + by_col[lower + 1] * fraction)
+
+    def _undulation(self, geo: Array) -> Array:
+        """Height of the geoid that the user states, else of that of the CRS, m; shape (...)."""
+        said = self.project.settings.gnss
+        part = vertical_part(self.crs)
+        stated = part is None or "geoid" in said.model_fields_set
+        geoid = said.geoid if stated or part is None else part.geoid
+        try:
+            return geoid_undulation(
+                geo[..., 0], geo[..., 1], geoid=geoid, datum=self.frame.gnss_datum
+            )
+        except CrsError as error:
+            if stated:
+                raise
+            raise InputError(
+                f"its heights are above {geoid}: {error}; or take EGM96 in its place, which is "
+                'off by up to 1 m or so, by [gnss] geoid = "egm96"',
+                source=self.path.name,
+            ) from error
 
 
 def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> Dem:

@@ -15,18 +15,20 @@ from georef_gis.ellipsoid import (
     meridian_radius,
     prime_vertical_radius,
 )
-from georef_gis.geodesy.heights import Height, HeightKind, geoid_undulation
+from georef_gis.geodesy.geoids import geoid_undulation
+from georef_gis.geodesy.grids_folder import drop_foreign_databases, use_grids
+from georef_gis.geodesy.heights import Height, HeightKind
 from georef_gis.geodesy.map_frame import MapFrame
+from georef_gis.geodesy.map_systems import differ_only_in_foot, map_crs, parse_crs
 from georef_gis.geodesy.reference_systems import (
     UNKNOWN_DATUM_SIGMA,
     Datum,
     horizontal_crs,
-    map_crs,
     metres_per_unit,
-    parse_crs,
     same_crs,
     utm_crs,
 )
+from georef_gis.geodesy.vertical import VerticalPart, vertical_part
 
 __all__ = [
     "CRS",
@@ -39,6 +41,8 @@ __all__ = [
     "HeightKind",
     "MapFrame",
     "Origin",
+    "VerticalPart",
+    "differ_only_in_foot",
     "ecef_from_geo",
     "geo_from_ecef",
     "geoid_undulation",
@@ -49,8 +53,12 @@ __all__ = [
     "parse_crs",
     "prime_vertical_radius",
     "same_crs",
+    "use_grids",
     "utm_crs",
+    "vertical_part",
 ]
 
 # A silent download in the middle of a run would make results depend on the network.
 set_network_enabled(False)
+drop_foreign_databases()
+use_grids()

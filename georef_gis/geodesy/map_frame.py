@@ -11,9 +11,13 @@ from pyproj import CRS
 from georef_gis.ellipsoid import Origin
 from georef_gis.errors import CrsError, GeometryError
 from georef_gis.frames import Array, R_ecef_from_enu
+from georef_gis.geodesy.geoids import geoid_undulation
+from georef_gis.geodesy.ground_systems import ground_factor
+from georef_gis.geodesy.map_systems import check_area, outside_area
 from georef_gis.geodesy.reference_systems import (
     UNKNOWN_DATUM_SIGMA,
     Datum,
+    Site,
     Transformation,
     horizontal_crs,
     is_nameless,
@@ -21,6 +25,13 @@ from georef_gis.geodesy.reference_systems import (
     realisation_of,
     transformer_between,
 )
+from georef_gis.geodesy.vertical import VerticalPart, vertical_part
+
+# m; what a transformation between stated realisations, and one to the map of an old datum, may
+# lack for want of a grid. What is lacking below either is in the sigma of the datum.
+_FINE, _COARSE = 0.25, 5.0
+# of length; what a factor for a road of some relief may be off at one of its places
+_GROUND_OFF = 5e-5
 
 
 class MapFrame:
@@ -31,8 +42,8 @@ class MapFrame:
     origin
         Origin of the project's enu, in the datum of the GNSS positions.
     crs
-        Projected CRS, or compound with a vertical part (which only labels: heights in `p_map` are
-        ellipsoidal, m).
+        Projected CRS, or compound with a vertical part: that of `vertical`, which does not touch
+        `p_map`, whose heights are ellipsoidal, m.
     gnss_datum, crs_datum
         Realisations. Where both are known and unequal, the positions are transformed with the
         epoch; where one is unknown the two are taken as one, `datum_sigma` apart.
@@ -65,14 +76,14 @@ class MapFrame:
         source = geographic if self._datum_step else CRS.from_epsg(4979).to_2d()
         if not self._datum_step and is_nameless(geographic):
             source = geographic
-        self._project = transformer_between(source, self.horizontal)
+        self._project = transformer_between(source, self.horizontal, self._site(_COARSE))
 
     def _make_datum_step(self) -> Transformation | None:
         a, b = self.gnss_datum, self.crs_datum
         if not (a.is_known and b.is_known):
             return None
         source, target = a.geographic_3d(), b.geographic_3d()
-        step = transformer_between(source, target)
+        step = transformer_between(source, target, self._site(_FINE))
         if a.name != b.name and a.epoch is None:
             raise CrsError(
                 f"'{a}' and '{b}' move against each other: state the epoch of the positions, "
@@ -81,11 +92,19 @@ class MapFrame:
             )
         return step
 
+    def _site(self, slack: float) -> Site:
+        # Rounded, so that frames of one site share their transformations.
+        lat, lon = (round(math.degrees(v), 1) for v in (self.origin.lat, self.origin.lon))
+        return Site(lat=lat, lon=lon, slack=slack)
+
     @property
     def datum_sigma(self) -> float:
         """One sigma of what an unstated datum or a coarse transformation may hide, m."""
-        if self.gnss_datum.is_known and self.crs_datum.is_known:
-            return 0.0
+        if self._datum_step is not None:
+            accuracy = self._datum_step.accuracy
+            if accuracy < 0.0:
+                return UNKNOWN_DATUM_SIGMA
+            return accuracy if accuracy > _FINE else 0.0
         # PROJ gives -1 where the accuracy is not known.
         return max(UNKNOWN_DATUM_SIGMA, float(self._project.accuracy))
 
@@ -119,22 +138,61 @@ class MapFrame:
         """Enu m from (easting, northing in CRS units, ellipsoidal height m); shape (..., 3)."""
         return self.origin.enu_from_geo(self.geo_from_map(p_map))
 
+    @property
+    def vertical(self) -> VerticalPart | None:
+        """Heights that the CRS promises; None if it is a map alone."""
+        return vertical_part(self.crs)
+
     def check_inside(self, p_enu: ArrayLike) -> None:
-        """Refuse places where the CRS does not hold.
+        """Refuse places where the CRS does not hold, or whose heights it cannot give.
 
         Raises
         ------
         CrsError
-            If the projection gives no finite coordinates or more than 1 % of scale.
+            If the CRS is made for another part of the Earth, the projection gives no finite
+            coordinates or more than 1 % of scale, or the geoid of its heights is not installed.
         """
         p = self.map_from_enu(p_enu)
-        scale = self.scale_at(np.asarray(p_enu, float).reshape(-1, 3)[0])
+        first = np.asarray(p_enu, float).reshape(-1, 3)[0]
+        lat, lon, _ = self.origin.geo_from_enu(first)
+        check_area(self.crs, lat, lon)
+        scale = self.scale_at(first)
         if not np.all(np.isfinite(p)) or abs(scale - 1.0) > 0.01:
             raise CrsError(
                 f"'{self.crs.name}' does not fit the photos' place (scale {scale:.4f}); "
                 'use crs = "auto" or the zone of the site',
                 field="crs",
             )
+        if self.vertical is not None:
+            geoid_undulation(lat, lon, geoid=self.vertical.geoid)
+
+    def doubts(self) -> list[str]:
+        """What is odd about the map at the site, one line each."""
+        name, o = self.crs.name, self.origin
+        out = []
+        away = outside_area(self.crs, o.lat, o.lon)
+        if away > 0.0:
+            out.append(
+                f"crs: the photos lie {away * 111.0:.0f} km outside of the area that '{name}' is "
+                "made for; is it the zone of the site?"
+            )
+        factor = ground_factor(self.horizontal)
+        if factor is not None:
+            off = self.scale_at(np.zeros(3)) - 1.0
+            if abs(off) > _GROUND_OFF:
+                out.append(
+                    f"crs: lengths of '{name}' are {off * 1e6:+.0f} ppm off those on the ground "
+                    f"at the site; a factor of {factor / (1.0 + off):.7f} would not be: is it "
+                    "ground over grid, and for this site?"
+                )
+        geographic = self.horizontal.geodetic_crs
+        known = self.crs_datum.is_known
+        if not known and geographic is not None and is_nameless(geographic):
+            out.append(
+                f"crs: the datum '{geographic.name}' of '{name}' is not known to this PROJ: taken "
+                f"as that of the positions, {self.datum_sigma:g} m apart (one sigma)"
+            )
+        return out
 
     def scale_at(self, p_enu: ArrayLike) -> float:
         """Map metres per metre at a place of enu (3,): 0.9996 on UTM's central meridian."""

@@ -6,61 +6,30 @@ import functools
 import math
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pyproj import CRS, Transformer
+from pyproj.aoi import AreaOfInterest
 from pyproj.exceptions import CRSError as _PyprojCrsError
 from pyproj.transformer import TransformerGroup
 
-from georef_gis.ellipsoid import WGS84_A
+from georef_gis.ellipsoid import WGS84_A, WGS84_F
 from georef_gis.errors import CrsError
 from georef_gis.frames import Array
+from georef_gis.geodesy.grids_folder import how_to_get, made_with_grids
 
 # m, one sigma; what is at stake when a position's datum realisation or epoch is unknown
 UNKNOWN_DATUM_SIGMA = 2.0
-
-
-def parse_crs(text: str) -> CRS:
-    """CRS from 'EPSG:6602', 'EPSG:6527+6360', WKT or PROJ text.
-
-    Raises
-    ------
-    CrsError
-        If PROJ does not know it.
-    """
-    try:
-        return CRS.from_user_input(text.strip())
-    except _PyprojCrsError as error:
-        raise CrsError(
-            f"'{text[:60]}' is not a CRS that PROJ knows; give EPSG:code, "
-            "EPSG:horizontal+vertical or WKT",
-            field="crs",
-        ) from error
+# m, of the semi-major axis of a county's own ellipsoid: above it lies no road
+_MOST_GROWN = 6000.0
 
 
 def same_crs(first_wkt: str, second_wkt: str) -> bool:
     """Whether two CRSs differ in nothing but the order of axes, which rasters ignore."""
     first, second = CRS.from_wkt(first_wkt), CRS.from_wkt(second_wkt)
     return bool(first.equals(second, ignore_axis_order=True))
-
-
-def map_crs(text: str) -> CRS:
-    """Like `parse_crs`, for a projected CRS to draw a map in (compound allowed).
-
-    Raises
-    ------
-    CrsError
-        If the CRS is not projected: degrees are no unit for pixels.
-    """
-    crs = parse_crs(text)
-    if not crs.is_projected:
-        raise CrsError(
-            f"'{crs.name}' is not a projected CRS; use 'auto' (UTM) or e.g. a State Plane code",
-            field="crs",
-        )
-    return crs
 
 
 def utm_crs(lat: float, lon: float) -> CRS:
@@ -117,7 +86,7 @@ class Datum:
     def geographic_3d(self) -> CRS:
         """Geographic 3D CRS of the realisation."""
         try:
-            return CRS.from_user_input(self.name).to_3d()
+            return _realisation(self.name)
         except _PyprojCrsError as error:
             raise CrsError(
                 f"'{self.name}' is not a realisation that PROJ knows; write e.g. NAD83(2011), "
@@ -130,26 +99,38 @@ class Datum:
         return self.name if self.epoch is None else f"{self.name}@{self.epoch}"
 
 
+@functools.lru_cache(maxsize=32)
+def _realisation(name: str) -> CRS:
+    """Geographic 3D CRS of a name; PROJ takes 20 ms to find one."""
+    return CRS.from_user_input(name).to_3d()
+
+
 def realisation_of(crs: CRS) -> Datum:
     """Datum that a CRS's own name states; unknown for an ensemble such as WGS 84."""
     base = crs.geodetic_crs
     if base is None or base.datum is None or "ensemble" in base.datum.type_name.lower():
         return Datum()
     try:
-        CRS.from_user_input(base.name)
+        _realisation(base.name)
     except _PyprojCrsError:
         # A WKT with a datum of its own name: not a realisation that anything can be told of.
         return Datum()
-    return Datum(name=base.name)
+    return Datum() if is_nameless(base) else Datum(name=base.name)
 
 
 def is_nameless(geographic: CRS) -> bool:
-    """Whether a WKT's datum is one of its own on the ellipsoid of WGS 84 or GRS 80.
+    """Whether a datum is one of its own name on an ellipsoid of the shape of WGS 84 and GRS 80.
 
-    PROJ knows no way to it; it is taken as WGS 84, `UNKNOWN_DATUM_SIGMA` apart.
+    PROJ knows no way to it; its latitudes and longitudes are taken as those of WGS 84,
+    `UNKNOWN_DATUM_SIGMA` apart. County systems of Minnesota have such: NAD83, its ellipsoid grown
+    to the level of the county, on which the same latitude and longitude are projected.
     """
     ellipsoid = geographic.ellipsoid
-    if ellipsoid is None or abs(ellipsoid.semi_major_metre - WGS84_A) > 0.5:
+    if ellipsoid is None or geographic.to_json_dict().get("id", {}).get("authority") == "EPSG":
+        return False
+    grown = abs(ellipsoid.semi_major_metre - WGS84_A)
+    shape = abs((ellipsoid.inverse_flattening or 0.0) - 1.0 / WGS84_F)
+    if grown > _MOST_GROWN or shape > 1e-4:
         return False
     return not TransformerGroup(
         CRS.from_epsg(4979).to_2d(), geographic, always_xy=True, allow_ballpark=False
@@ -162,13 +143,13 @@ class Transformation:
     Those of a `TransformerGroup` keep one PROJ context, which two threads must not use at once.
     """
 
-    def __init__(self, source: CRS, target: CRS) -> None:
-        self._ends = (source, target)
+    def __init__(self, source: CRS, target: CRS, site: Site | None) -> None:
+        self._ends = (source, target, site)
         self._local = threading.local()
         self.accuracy = float(self.own.accuracy)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Only the two ends: another process has PROJ objects of its own."""
+        """Only the ends: another process has PROJ objects of its own."""
         return transformer_between, self._ends
 
     @property
@@ -185,22 +166,109 @@ class Transformation:
         return transform(*coordinates, direction=direction)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Site:
+    """Where a transformation is for, deg, and how much accuracy may lack for want of a grid, m."""
+
+    lat: float
+    lon: float
+    slack: float
+
+    @property
+    def area(self) -> AreaOfInterest:
+        """Its surroundings."""
+        lon = (self.lon + 180.0) % 360.0 - 180.0
+        return AreaOfInterest(lon - 0.05, self.lat - 0.05, lon + 0.05, self.lat + 0.05)
+
+
 @functools.lru_cache(maxsize=32)
-def transformer_between(source: CRS, target: CRS) -> Transformation:
-    """Best transformation from one CRS to another, made once."""
-    return Transformation(source, target)
+def transformer_between(source: CRS, target: CRS, site: Site | None = None) -> Transformation:
+    """Best transformation from one CRS to another, made once.
+
+    Parameters
+    ----------
+    site
+        Of what is in use around it the best is taken, and a grid that would better it by more
+        than the slack is missed. Without it, the best of any place that is installed.
+
+    Raises
+    ------
+    CrsError
+        If a grid is missing; with its name.
+    """
+    return Transformation(source, target, site)
 
 
-def _best_transformer(source: CRS, target: CRS) -> Transformer:
-    with warnings.catch_warnings():
-        # "Best transformation is not available": its accuracy is kept and reported instead.
-        warnings.simplefilter("ignore", UserWarning)
-        group = TransformerGroup(source, target, always_xy=True, allow_ballpark=False)
+made_with_grids(transformer_between.cache_clear)
+
+
+def _best_transformer(source: CRS, target: CRS, site: Site | None) -> Transformer:
+    group = _group(source, target, site)
+    if site is not None and not (group.transformers or group.unavailable_operations):
+        # The site lies outside of what either system is made for.
+        group, site = _group(source, target, None), None
     if not group.transformers:
-        grids = [g.short_name for op in group.unavailable_operations for g in op.grids]
-        need = f"; it needs the PROJ grid {', '.join(grids[:3])}" if grids else ""
-        raise CrsError(
-            f"no transformation from '{source.name}' to '{target.name}' is installed{need}",
-            field="crs",
-        )
-    return group.transformers[0]
+        lacking = [grids for op in group.unavailable_operations if (grids := _missing(op))]
+        raise _not_installed(source, target, lacking[0] if lacking else ())
+    if site is None:
+        # in PROJ's own order: by the area
+        return group.transformers[0]
+    best = min(group.transformers, key=lambda t: t.accuracy if t.accuracy >= 0.0 else math.inf)
+    grids = _better(group, site.slack)
+    if grids:
+        raise _not_installed(source, target, grids, best.accuracy)
+    return best
+
+
+def lacking_grids(source: CRS, target: CRS, site: Site) -> tuple[str, ...]:
+    """Grids that would better what is installed from one CRS to another by more than the slack."""
+    return _better(_group(source, target, site), site.slack)
+
+
+def _better(group: TransformerGroup, slack: float) -> tuple[str, ...]:
+    """Grids of an operation that lacks some and would better all others by more than the slack.
+
+    Of several that of the smallest area: Canada's box holds half of the United States.
+    """
+    reach = min((t.accuracy for t in group.transformers if t.accuracy >= 0.0), default=math.inf)
+    better = [op for op in group.unavailable_operations if 0.0 <= op.accuracy < reach - slack]
+    chosen = min(filter(_missing, better), key=_extent, default=None)
+    return () if chosen is None else _missing(chosen)
+
+
+def _extent(operation: Any) -> float:
+    """Size of the box that an operation is for, square degrees."""
+    area = operation.area_of_use
+    if area is None:
+        return math.inf
+    return float((area.north - area.south) * ((area.east - area.west) % 360.0))
+
+
+def _group(source: CRS, target: CRS, site: Site | None) -> TransformerGroup:
+    with warnings.catch_warnings():
+        # "Best transformation is not available": it is looked after here.
+        warnings.simplefilter("ignore", UserWarning)
+        return TransformerGroup(
+            source, target, always_xy=True, allow_ballpark=False,
+            area_of_interest=None if site is None else site.area,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+
+def _missing(operation: Any) -> tuple[str, ...]:
+    """Names of the grids that an operation needs and that are not there."""
+    return tuple(grid.short_name for grid in operation.grids if not grid.available)
+
+
+def _not_installed(
+    source: CRS, target: CRS, grids: Sequence[str], accuracy: float | None = None
+) -> CrsError:
+    ends = f"from '{source.name}' to '{target.name}'"
+    if not grids:
+        return CrsError(f"no transformation {ends} is known to PROJ", field="crs")
+    if accuracy is None:
+        what = f"no transformation {ends} is installed"
+    else:
+        known = f"{accuracy:g} m" if accuracy >= 0.0 else "an unknown accuracy"
+        what = f"the transformation {ends} that is installed is good to {known} only"
+    need = f"the PROJ grid {grids[0]}" if len(grids) == 1 else f"{len(grids)} PROJ grids"
+    return CrsError(f"{what}; it needs {need}: {how_to_get(*grids)}", field="crs")

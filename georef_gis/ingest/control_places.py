@@ -20,6 +20,7 @@ from georef_gis.geodesy import (
     WGS84_A,
     HeightKind,
     MapFrame,
+    differ_only_in_foot,
     geoid_undulation,
     horizontal_crs,
     metres_per_unit,
@@ -76,10 +77,16 @@ def place_control(
     xy = np.array([[q.easting, q.northing] for q in control.points])
     geo, far, place_doubts = _located(control, own, frame, xy, cameras)
     points = [replace(q, role="off") if f else q for q, f in zip(control.points, far, strict=True)]
-    heights = _heights(control, points, geo, far, frame, terrain, photos)
+    heights = _heights(control, points, geo, far, own, terrain, photos)
     geo[:, 2] = heights.ellipsoidal
     sigma_datum = own.datum_sigma
     doubts = [*place_doubts, *heights.doubts]
+    if differ_only_in_foot(control.crs, frame.crs):
+        off = 2e-6 * metres_per_unit(own.horizontal) * float(np.median(np.abs(xy).max(axis=1)))
+        doubts.append(
+            f"{_file(control)}: crs: '{control.crs.name}' and the project's '{frame.crs.name}' "
+            f"differ only in the foot, US survey or international, {off:.2f} m here; is one meant?"
+        )
     if sigma_datum and not far.all():
         open_ends = [
             f"[{section}] datum"
@@ -280,10 +287,16 @@ def _heights(
     z = np.array([np.nan if q.height is None else q.height for q in points])
     z[far] = np.nan
     ok = np.isfinite(z)
+    if ok.any() and control.height_kind is HeightKind.ELLIPSOIDAL:
+        # Above the ellipsoid of the control's datum, 1 to 2 m from that of ITRF.
+        xy = np.array([[q.easting, q.northing] for q in points])[ok]
+        z[ok] = frame.geo_from_map(np.column_stack([xy, z[ok]]))[:, 2]
     undulation = np.full(len(z), np.nan)
     if ok.any() and control.height_kind is not HeightKind.ELLIPSOIDAL:
         try:
-            undulation[ok] = geoid_undulation(geo[ok, 0], geo[ok, 1], geoid=control.geoid)
+            undulation[ok] = geoid_undulation(
+                geo[ok, 0], geo[ok, 1], geoid=control.geoid, datum=frame.gnss_datum
+            )
         except GeorefError as error:
             return Heights.none(z, f"{_file(control)}: {error}; used without height")
     ground = np.full(len(z), np.nan)

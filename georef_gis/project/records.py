@@ -39,12 +39,13 @@ _PLAIN = ("height_above_takeoff", "height_above_ground", "course", "ground_speed
 
 def save_frame(database: Database, frame: MapFrame) -> None:
     """Fix the project's origin, CRS and datums; features of another CRS are dropped."""
-    crs = frame.crs
+    # The z of its features is in metres, of kinds that their columns tell: no vertical part.
+    crs = frame.horizontal
     database.set_crs(Srs(name=crs.name, wkt=crs.to_wkt("WKT1_GDAL"), code=crs.to_epsg()))
     o = frame.origin
     database.set_meta(
         origin=[math.degrees(o.lat), math.degrees(o.lon), o.height_ellipsoidal],
-        crs=crs.to_wkt(),
+        crs=frame.crs.to_wkt(),
         datum={"gnss": str(frame.gnss_datum), "output": str(frame.crs_datum)},
     )
 

@@ -23,13 +23,17 @@ class ProjectSection(Section):
     name: str = Field(default="", description="Name of the site, for titles")
     crs: str = Field(
         default="auto",
-        description='Map CRS of all products: "auto" (UTM), "EPSG:6549" '
-        "(State Plane in US survey feet is fine), or a file with WKT",
+        description='Map CRS of all products: "auto" (UTM), "EPSG:6549" (State Plane in feet is '
+        'fine), "EPSG:6549 ground 1.0000987", or a file with WKT; docs/crs.md',
     )
     datum_output: str = Field(
         default="auto",
         description="Datum of the products as realisation and epoch, "
         'such as "NAD83(2011)@2010.0"; "auto" = that of the CRS',
+    )
+    grids: Path | None = Field(
+        default=None,
+        description="Folder of PROJ's grids (geoids, datums); else GEOREF_GRIDS, else PROJ's own",
     )
     seed: int = Field(default=0, ge=0, description="Seed of every random choice")
 
@@ -326,6 +330,17 @@ class ImuSection(Section):
     tune: bool = Field(default=True, description="Find the noise in the log itself")
     use: tuple[Literal["baro_height", "airspeed", "heading", "magnetic_field"], ...] = Field(
         default=(), description='Aids to use where logged, such as ["baro_height", "airspeed"]'
+    )
+
+
+class MetadataSection(Section):
+    """What metadata files and STAC say of who made the products; what is empty is said unknown."""
+
+    organisation: str = Field(default="", description="Who answers for the products")
+    contact: str = Field(default="", description="Name of a person there, or of an office")
+    email: str = Field(default="", description="Its e-mail address")
+    licence: str = Field(
+        default="", description='Terms of use, such as "CC-BY-4.0" (SPDX) or a sentence'
     )
 
 

@@ -17,6 +17,7 @@ from georef_gis.project.sections import (
     GroundSection,
     ImuSection,
     LogsSection,
+    MetadataSection,
     MountSection,
     PhotosSection,
     PosesSection,
@@ -42,6 +43,7 @@ class Settings(Section):
     logs: LogsSection = LogsSection()
     imu: ImuSection = ImuSection()
     products: ProductsSection = ProductsSection()
+    metadata: MetadataSection = MetadataSection()
     tools: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
     def camera_of(self, *names: str) -> CameraSection:
@@ -76,13 +78,19 @@ def read_settings(path: Path) -> Settings:
     """
     try:
         with path.open("rb") as stream:
-            return Settings.model_validate(tomllib.load(stream))
+            settings = Settings.model_validate(tomllib.load(stream))
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", source=str(path)) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"is not valid TOML: {error}", source=str(path)) from error
     except ValidationError as error:
         raise _settings_error(error, path) from error
+    if settings.project.grids is not None:
+        # Before anything is transformed here or in a process that is started from here.
+        from georef_gis.geodesy import use_grids
+
+        use_grids(path.absolute().parent / settings.project.grids.expanduser())
+    return settings
 
 
 def _settings_error(error: ValidationError, path: Path) -> InputError:

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
+
+from georef_gis.errors import InputError
 
 Finding = tuple[str, bool, str]
 
@@ -21,15 +24,43 @@ def raster_findings() -> Sequence[Finding]:
     return [("GDAL", True, gdal), *_hook("georef_gis.rasters")]
 
 
-def geodesy_findings() -> Sequence[Finding]:
-    """Version and data of PROJ, and what `georef_gis.geodesy.health` finds."""
+def geodesy_findings(folder: Path = Path()) -> Sequence[Finding]:
+    """Version and data of PROJ, its grids, and those that the project of a folder lacks."""
     try:
         proj = import_module("pyproj")
-        folder = import_module("pyproj.datadir").get_data_dir()
-        findings = [("PROJ", True, f"{proj.proj_version_str}, data in {folder}")]
+        data = import_module("pyproj.datadir").get_data_dir()
+        findings = [("PROJ", True, f"{proj.proj_version_str}, data in {data}")]
     except Exception as error:
         return [("PROJ", False, f"pyproj cannot be imported or has no data ({error})")]
-    return [*findings, *_hook("georef_gis.geodesy")]
+    try:
+        return [*findings, *_grids(folder)]
+    except Exception as error:
+        return [*findings, ("grids", False, f"their examination failed ({error})")]
+
+
+def _grids(folder: Path) -> Sequence[Finding]:
+    """Folder of the grids, those that are there, and what the project of a folder lacks."""
+    grids = import_module("georef_gis.project.grids")
+    # The project's settings may name another folder.
+    project = grids.open_or_none(folder)
+    try:
+        needs = grids.needs_of(project) if project is not None else ()
+    finally:
+        if project is not None:
+            project.close()
+    names, bad = [], []
+    for path in grids.installed_grids():
+        try:
+            names.append(grids.examine_grid(path, whole=False).name)
+        except InputError as error:
+            bad.append(("grid", False, str(error)))
+    told = f"{len(names)} in {grids.grids_folder()}" + (f": {', '.join(names)}" if names else "")
+    lacking = [
+        ("grid lacking", False, f"{need.name} ({need.reason}); {grids.how_to_get(need.name)}")
+        for need in needs
+        if not need.is_there
+    ]
+    return [("grids", True, told), *bad, *lacking]
 
 
 def _hook(module: str) -> Sequence[Finding]:

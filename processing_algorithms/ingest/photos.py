@@ -65,6 +65,7 @@ class ReadPhotos(Algorithm[p.Parameters]):
         photos = [_as_set(photo, project) for photo in kept]
         frame = _frame(project, photos)
         doubts = [*(str(error) for _, error in result.refused), *strays, *doubts, *result.doubts]
+        doubts += frame.doubts()
         doubts += [doubt for photo in photos for doubt in photo.doubts]
         known = {photo.id for photo in photos}
         gone = _gone(project, known)

@@ -79,7 +79,9 @@ class ProfileTool(Algorithm[ProfileParameters]):
             project, frame, parameters.of, parameters.raster, around, sigma=parameters.sigma,
             quick=context.quick,
         )  # fmt: skip
-        reference = HeightReference(kind=parameters.heights, geoid=project.settings.gnss.geoid)
+        part = frame.vertical
+        geoid = project.settings.gnss.geoid if part is None else part.geoid
+        reference = HeightReference(kind=parameters.heights, geoid=geoid)
         found = {
             line.name: profile_along(field, frame, line.shape, reference, step=parameters.step)
             for line in lines

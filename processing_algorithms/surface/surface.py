@@ -70,7 +70,9 @@ class SurfaceTool(Algorithm[SurfaceParameters]):
         project = context.require_project()
         site = load_site(project, quick=context.quick)
         field = project_field(project, parameters.of, quick=context.quick)
-        reference = HeightReference(kind=parameters.heights, geoid=project.settings.gnss.geoid)
+        part = site.frame.vertical
+        geoid = project.settings.gnss.geoid if part is None else part.geoid
+        reference = HeightReference(kind=parameters.heights, geoid=geoid)
         project.products.mkdir(parents=True, exist_ok=True)
         grid, cover = _grid(project, site.frame, field, parameters.cell)
         outputs = {"surface": project.products / RASTER}

@@ -14,6 +14,7 @@ import rasterio
 from pyproj import CRS
 from tool_cases import SAMPLE, georef
 
+from georef_gis.errors import InputError
 from georef_gis.geodesy import Height, HeightKind, MapFrame, Origin, geoid_undulation, parse_crs
 from georef_gis.model.photo import Geotag, Photo
 from georef_gis.project import Project
@@ -28,8 +29,9 @@ METRES, US_FEET = "EPSG:6600", "EPSG:6601"
 
 
 def project_with_dem(
-    folder: Path, stored: float, crs: str = US_FEET, *, text: str = "", band: str = ""
-) -> Project:
+    folder: Path, stored: float, crs: str = US_FEET, *, text: str = "", band: str = "",
+    stated_geoid: bool = True,
+) -> Project:  # fmt: skip
     """Project whose DEM holds one number under the site."""
     frame = MapFrame(SITE, parse_crs(crs))
     left, top = frame.map_from_enu([-900.0, 900.0, 0.0])[:2]
@@ -43,7 +45,9 @@ def project_with_dem(
         target.write(np.full((40, 40), stored, np.float32), 1)
         if band:
             target.set_band_unit(1, band)
-    (folder / "project.toml").write_text(f'[ground]\ndem = "dem.tif"\n{text}')
+    # no grid is needed where the user states the geoid
+    geoid = '[gnss]\ngeoid = "egm96"\n' if stated_geoid else ""
+    (folder / "project.toml").write_text(f'{geoid}[ground]\ndem = "dem.tif"\n{text}')
     return Project.open(folder)
 
 
@@ -125,6 +129,18 @@ def test_the_users_unit_goes_before_all_others(
     choice, ground = chosen(project, photos(374.0, "orthometric", 60.0))
     assert (choice.told, choice.doubt) == ("", "")
     assert ground == pytest.approx(314.0, abs=0.05)
+
+
+def test_a_dem_above_a_geoid_whose_grid_is_missing_is_refused_with_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "grids").mkdir()
+    monkeypatch.setenv("GEOREF_GRIDS", str(tmp_path / "grids"))
+    project = project_with_dem(tmp_path / "site", 314.0, f"{US_FEET}+5703", stated_geoid=False)
+    with pytest.raises(InputError, match=r"us_noaa_g2018u0\.tif.*georef grids download") as refused:
+        chosen(project, photos(374.0, "orthometric", 60.0))
+    assert 'geoid = "egm96"' in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

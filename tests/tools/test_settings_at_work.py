@@ -49,7 +49,7 @@ def test_dem_with_a_vertical_crs_gives_the_same_ground_in_metres_and_feet(
         values, transform = source.read(1), source.transform
     folder = make(
         tmp_path / "site",
-        '[gnss]\nheight_kind = "orthometric"\n[ground]\ndem = "dem.tif"\n',
+        '[gnss]\nheight_kind = "orthometric"\ngeoid = "egm96"\n[ground]\ndem = "dem.tif"\n',
     )
     with rasterio.open(
         folder / "dem.tif", "w", driver="GTiff", width=values.shape[1], height=values.shape[0],

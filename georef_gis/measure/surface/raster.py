@@ -82,7 +82,8 @@ class HeightReference:
             return heights
         level = np.nan_to_num(heights, nan=frame.origin.height_ellipsoidal)
         geo = frame.geo_from_map(np.concatenate([xy_map, level[..., None]], axis=-1))
-        return np.asarray(heights - geoid_undulation(geo[..., 0], geo[..., 1], geoid=self.geoid))
+        n = geoid_undulation(geo[..., 0], geo[..., 1], geoid=self.geoid, datum=frame.gnss_datum)
+        return np.asarray(heights - n)
 
 
 def surface_profile(
