@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import glob
 import inspect
-import json
 import os
-import shutil
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,7 @@ from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import parameters as p
 from georef_gis.toolbox.algorithm import Algorithm, Output, Result
 from georef_gis.toolbox.context import Context, Feedback
+from georef_gis.toolbox.export_folder import check_folder, remove, replace_folder
 
 if TYPE_CHECKING:
     from georef_gis.project import Project
@@ -36,8 +35,6 @@ LAYER_KINDS: dict[str, str] = {
     "mosaic": "raster",
     "orthos": "raster",
 }
-# In a folder that an exporter wrote: which one, and the files it holds.
-FOLDER_LIST = ".georef_export.json"
 RASTER_SUFFIXES = (".tif", ".tiff", ".vrt")
 VECTOR_SUFFIXES = (".gpkg", ".geojson", ".fgb", ".shp")
 
@@ -255,12 +252,12 @@ def _write_safely(
     try:
         if target.is_dir() and target.suffix != exporter.suffix:
             raise ExportError(f"{target}: is a folder; give the name of a {exporter.suffix} in it")
-        _check_folder(target, exporter.id)
+        check_folder(target, exporter.id)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _remove(part)
+        remove(part)
         report = exporter.write(source, part, options, feedback)
         if part.is_dir():
-            _replace_folder(part, target, exporter.id)
+            replace_folder(part, target, exporter.id)
         elif target.is_dir():
             raise ExportError(f"{target}: is a folder; give the name of a file in it")
         else:
@@ -274,7 +271,7 @@ def _write_safely(
     finally:
         pattern = f"{glob.escape(part.name)}*"
         for left in target.parent.glob(pattern) if target.parent.is_dir() else ():
-            _remove(left)
+            remove(left)
     return report
 
 
@@ -292,76 +289,6 @@ def _named(given: Path | str) -> Path:
     if not target.name:
         raise ExportError(f"{target}: is no place for an export; give the name of a file in it")
     return target
-
-
-def _check_folder(target: Path, exporter: str) -> None:
-    """Refuse a folder in which something would be lost.
-
-    Raises
-    ------
-    ExportError
-        If it holds files that no earlier export by the same exporter wrote.
-    """
-    if not target.is_dir():
-        return
-    foreign = "is a link to a folder" if target.is_symlink() else _foreign(target, exporter)
-    if foreign:
-        raise ExportError(
-            f"{target}: {foreign}; give the name of a file, or of a new or an empty folder"
-        )
-
-
-def _foreign(folder: Path, exporter: str) -> str:
-    """What of a folder is not of an earlier export by the same exporter; empty if all is."""
-    listed: set[str] = {FOLDER_LIST}
-    try:
-        made = json.loads((folder / FOLDER_LIST).read_text(encoding="utf-8"))
-        if made["exporter"] == exporter:
-            listed |= set(made["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        listed = set()
-    names = (path.relative_to(folder).as_posix() for path in sorted(_leaves(folder)))
-    return next(
-        (f"holds {name}, which is not of an earlier export here and would be lost"
-         for name in names if name not in listed),
-        "",
-    )  # fmt: skip
-
-
-def _leaves(folder: Path) -> list[Path]:
-    """Files and links below a folder; links are not followed."""
-    found: list[Path] = []
-    for parent, folders, names in os.walk(folder):
-        found += [Path(parent, name) for name in names]
-        found += [path for name in folders if (path := Path(parent, name)).is_symlink()]
-    return found
-
-
-def _replace_folder(part: Path, target: Path, exporter: str) -> None:
-    """Put a folder in the place of an earlier one, with the list by which it is known again."""
-    if target.exists() and not target.is_dir():
-        raise ExportError(f"{target}: is there and is no folder; give another name")
-    _check_folder(target, exporter)
-    names = [path.relative_to(part).as_posix() for path in sorted(_leaves(part))]
-    text = json.dumps({"exporter": exporter, "files": names}, ensure_ascii=False, indent=0)
-    (part / FOLDER_LIST).write_text(text, encoding="utf-8")
-    # A neighbour that the caller clears away: the old folder goes only when the new one is there.
-    old = part.with_name(f"{part.name}.old")
-    if target.exists():
-        os.replace(target, old)
-    try:
-        os.replace(part, target)
-    except OSError:
-        if old.exists():
-            os.replace(old, target)
-        raise
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:

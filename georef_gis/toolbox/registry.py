@@ -26,7 +26,9 @@ OWN_DISTRIBUTION = "georef-gis"
 ID = re.compile(r"^[a-z][a-z0-9]*(_[a-z0-9]+)*$")
 PROVIDER = re.compile(r"^[a-z][a-z0-9_-]*$")
 # Commands of the application, and options that every tool has.
-RESERVED_IDS = ("run", "tools", "doctor", "batch", "serve", "help", "version")
+RESERVED_IDS = (
+    "run", "tools", "doctor", "batch", "serve", "qgis", "grids", "help", "version",
+)  # fmt: skip
 RESERVED_OPTIONS = ("project", "workers", "seed", "json", "verbose", "force", "verify", "help")
 
 

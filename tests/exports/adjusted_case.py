@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from interchange_cases import CAMERAS, make_block_site
 
-from exports.site import SiteLayers
+from exports.site.site import SiteLayers
 from georef_gis.model.camera import Camera
 from georef_gis.project import Project
 from georef_gis.project.columns_file import write_columns

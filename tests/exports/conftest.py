@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from site_cases import make_site, write_photos
 
-from exports.site import SiteLayers
+from exports.site.site import SiteLayers
 
 
 @pytest.fixture

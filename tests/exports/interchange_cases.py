@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from exports.site import SiteLayers, SitePhoto
+from exports.site.site import SiteLayers, SitePhoto
 from georef_gis.geodesy import MapFrame, Origin, parse_crs
 from georef_gis.model.camera import Camera
 from georef_gis.model.photo import Photo

@@ -12,7 +12,7 @@ import rasterio
 import rasterio.shutil
 from rasterio.transform import Affine
 
-from exports.site import SiteLayers, SitePhoto
+from exports.site.site import SiteLayers, SitePhoto
 from georef_gis.geodesy import MapFrame, Origin, parse_crs
 from georef_gis.model.camera import Camera
 from georef_gis.model.layers import Footprint

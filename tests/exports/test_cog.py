@@ -8,7 +8,7 @@ import rasterio
 from rio_cogeo.cogeo import cog_validate
 from site_cases import make_frame, write_mosaic
 
-from exports.cog import write_cog
+from exports.tiles.cog import write_cog
 from georef_gis.errors import ExportError
 
 

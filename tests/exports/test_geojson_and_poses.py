@@ -13,8 +13,8 @@ import pytest
 from shapely.geometry import shape
 from site_cases import NASTY, make_site
 
-from exports.geojson import write_geojson
-from exports.poses import write_geo_txt, write_reference_csv
+from exports.poses.poses import write_geo_txt, write_reference_csv
+from exports.tables.geojson import write_geojson
 from georef_gis.errors import ExportError
 from georef_gis.frames import exp_so3
 

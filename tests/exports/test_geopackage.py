@@ -10,7 +10,7 @@ import pytest
 from lxml import etree
 from site_cases import NASTY, make_site
 
-from exports.geopackage import write_geopackage
+from exports.tables.geopackage import write_geopackage
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import CRS
 

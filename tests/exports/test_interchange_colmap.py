@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from interchange_cases import CAMERAS, make_block_site, points_before, tie_points, with_blanks
 
-from exports.colmap import write_colmap
+from exports.poses.colmap import write_colmap
 from georef_gis.errors import ExportError, InputError
 from georef_gis.ingest.poses import read_poses
 from georef_gis.ingest.poses_blocks import read_blocks

@@ -13,7 +13,7 @@ from interchange_cases import CAMERAS, PLACES, make_block_site, points_before, t
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
-from exports.opensfm import write_opensfm
+from exports.poses.opensfm import write_opensfm
 from georef_gis.errors import InputError
 from georef_gis.ingest.poses import read_poses
 from georef_gis.model.interchange.opensfm import (

@@ -13,7 +13,7 @@ from interchange_cases import PLACES, make_block_site, with_blanks
 from pyproj import CRS, Transformer
 from scipy.spatial.transform import Rotation
 
-from exports.pose_tables import (
+from exports.poses.pose_tables import (
     _wish,
     write_metashape,
     write_pix4dmapper,

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from interchange_cases import CAMERAS, make_block_site
 
-from exports.colmap import Colmap
-from exports.opensfm import OpenSfm
-from exports.pose_tables import MetashapeCsv, Pix4dMapperCsv, Pix4dMaticCsv
+from exports.poses.colmap import Colmap
+from exports.poses.opensfm import OpenSfm
+from exports.poses.pose_tables import MetashapeCsv, Pix4dMapperCsv, Pix4dMaticCsv
 from georef_gis.errors import ExportError, InputError
 from georef_gis.ingest.poses import read_poses
 from georef_gis.project import Project

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from site_cases import NASTY, ORIGIN, make_site
 
-from exports.site import SiteLayers, SitePhoto
-from exports.site_layers import split_at_gaps
+from exports.site.build import split_at_gaps
+from exports.site.site import SiteLayers, SitePhoto
 from georef_gis.errors import ExportError
 from georef_gis.frames import R_map_from_photo, exp_so3
 from georef_gis.geodesy import geoid_undulation

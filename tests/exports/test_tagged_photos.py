@@ -28,9 +28,9 @@ import tag_readers
 from PIL import Image
 from site_cases import ORIGIN, R_NADIR_NORTH, make_frame, make_site
 
-import exports.tagged_photos as tagged
-from exports.site import SiteLayers, SitePhoto
-from exports.tagged_photos import INDEX, TaggedPhotosOptions, write_tagged_photos
+import exports.poses.tagged_photos as tagged
+from exports.poses.tagged_photos import INDEX, TaggedPhotosOptions, write_tagged_photos
+from exports.site.site import SiteLayers, SitePhoto
 from georef_gis.errors import Cancelled, ExportError, InputError
 from georef_gis.frames import R_PHOTO_FROM_CAM, R_ecef_from_enu, exp_so3
 from georef_gis.geodesy import HeightKind

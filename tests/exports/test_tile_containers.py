@@ -23,7 +23,7 @@ from web_tile_cases import (
     wave_raster,
 )
 
-from exports.pmtiles import SpoolSink, directories
+from exports.tiles.pmtiles import SpoolSink, directories
 from georef_gis.toolbox.registry import load_registry
 
 OWNER = "© DOT & <partners>"

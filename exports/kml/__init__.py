@@ -1,0 +1,1 @@
+"""Google Earth: KML and KMZ."""

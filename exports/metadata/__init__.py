@@ -1,0 +1,1 @@
+"""Metadata beside the products, and STAC."""

@@ -1,0 +1,1 @@
+"""All that a project has to export, gathered once, and its layers."""

@@ -1,0 +1,1 @@
+"""Layers as tables of features: GeoPackage, GeoJSON, Shapefile and others."""
