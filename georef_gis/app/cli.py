@@ -23,6 +23,8 @@ from georef_gis.app.facing import (
     fail,
 )
 from georef_gis.app.feedback import JsonFeedback, PlainFeedback
+from georef_gis.app.grids import grids
+from georef_gis.app.qgis import qgis
 from georef_gis.app.serve import serve
 from georef_gis.app.values import step_values
 from georef_gis.errors import GeorefError
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from georef_gis.toolbox.specs import Spec
     from georef_gis.toolbox.steps import RunOptions, StepReport
 
-BUILT_IN = ("run", "batch", "serve", "tools", "doctor")
+BUILT_IN = ("run", "batch", "serve", "qgis", "grids", "tools", "doctor")
 
 
 class Tools(click.Group):
@@ -182,6 +184,8 @@ def doctor(folder: Path, as_json: bool, verbose: int) -> None:
 
 georef.add_command(batch)
 georef.add_command(serve)
+georef.add_command(qgis)
+georef.add_command(grids)
 
 
 def command_words(tool: Tool) -> tuple[str, ...]:

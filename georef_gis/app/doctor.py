@@ -9,45 +9,32 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal
 
 from georef_gis import __version__
+from georef_gis.app.doctor_outside import outside_findings
+from georef_gis.app.findings import Finding, State
 from georef_gis.toolbox.health import geodesy_findings, raster_findings
 from georef_gis.toolbox.registry import Registry
 from georef_gis.toolbox.steps import default_workers
 
-State = Literal["ok", "doubtful", "bad"]
 # bytes below which a site of a few hundred photos will not fit
 LEAST_DISK = 5_000_000_000
 # bytes, what the products are made within
 LEAST_MEMORY = 1_000_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One line of the examination."""
-
-    subject: str
-    state: State
-    message: str
-
-    def line(self) -> str:
-        """Text for a terminal."""
-        sign = {"ok": "ok  ", "doubtful": "??  ", "bad": "BAD "}[self.state]
-        return f"{sign}{self.subject:<24} {self.message}"
-
-    def content(self) -> dict[str, str]:
-        """JSON-able content."""
-        return {"subject": self.subject, "state": self.state, "message": self.message}
-
-
 def examine(registry: Registry, folder: Path) -> list[Finding]:
     """Look at everything."""
-    return [*_versions(), *_data(), *_plugins(registry), *_page(), *_machine(folder)]
+    return [
+        *_versions(),
+        *_data(folder),
+        *_plugins(registry),
+        *_page(),
+        *outside_findings(),
+        *_machine(folder),
+    ]
 
 
 def _versions() -> Iterator[Finding]:
@@ -74,8 +61,8 @@ def _required() -> list[str]:
     return names
 
 
-def _data() -> Iterator[Finding]:
-    for subject, fine, message in (*raster_findings(), *geodesy_findings()):
+def _data(folder: Path) -> Iterator[Finding]:
+    for subject, fine, message in (*raster_findings(), *geodesy_findings(folder)):
         yield Finding(subject=subject, state="ok" if fine else "doubtful", message=message)
 
 
@@ -92,16 +79,12 @@ def _plugins(registry: Registry) -> Iterator[Finding]:
 
 
 def _page() -> Iterator[Finding]:
-    """What `georef serve` needs, and the browser that its tests look at it with."""
+    """What `georef serve` needs."""
     try:
         message = ", ".join(f"{name} {version(name)}" for name in ("fastapi", "uvicorn"))
     except PackageNotFoundError as error:
         message = f'{error.name} is not installed; pip install "georef-gis[web]"'
     yield Finding(subject="page (georef serve)", state="ok", message=message)
-    if find_spec("playwright") is not None:
-        found = shutil.which("chromium") or shutil.which("google-chrome")
-        message = found or "not there: the page is not tested in a browser"
-        yield Finding(subject="chromium", state="ok", message=message)
 
 
 def _machine(folder: Path) -> Iterator[Finding]:

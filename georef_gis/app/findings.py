@@ -1,0 +1,26 @@
+"""A line of what `georef doctor` finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+State = Literal["ok", "doubtful", "bad"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One line of the examination."""
+
+    subject: str
+    state: State
+    message: str
+
+    def line(self) -> str:
+        """Text for a terminal."""
+        sign = {"ok": "ok  ", "doubtful": "??  ", "bad": "BAD "}[self.state]
+        return f"{sign}{self.subject:<24} {self.message}"
+
+    def content(self) -> dict[str, str]:
+        """JSON-able content."""
+        return {"subject": self.subject, "state": self.state, "message": self.message}
