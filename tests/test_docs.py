@@ -14,10 +14,11 @@ def test_docs_hold_the_table_of_dialects() -> None:
 
 
 def commands() -> set[str]:
+    from georef_gis.app.cli import BUILT_IN
     from georef_gis.toolbox.registry import load_registry
 
     registry = load_registry()
-    known = {registry.command(tool) for tool in registry} | {"run", "serve", "tools", "doctor"}
+    known = {registry.command(tool) for tool in registry} | set(BUILT_IN)
     # a command of two words, such as `georef sync-board record`
     return known | {tool.algorithm.command[0] for tool in registry if tool.algorithm.command}
 

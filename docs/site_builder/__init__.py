@@ -1,0 +1,1 @@
+"""The documentation as a site: chapters of ``docs/``, and a page for every command."""
