@@ -22,7 +22,8 @@ import numpy as np
 import rasterio
 from rasterio.windows import Window
 
-from exports.kml.kml import KmzOptions, write_kmz
+from exports.kml.kml import write_kmz
+from exports.kml.options import KmzOptions
 from exports.site.site import SiteLayers
 from georef_gis.project import Project
 from georef_gis.toolbox import CollectingFeedback

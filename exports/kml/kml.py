@@ -3,63 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
+from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmlOptions, KmzOptions, warnings_of
 from exports.site.schemas import ASSETS
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
-from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from exports.site.columns import Layer
     from exports.site.site import SiteLayers
     from georef_gis.project import Project
 
-VECTORS = ("photos", "footprints", "track", "control", *ASSETS)
-CRS = "EPSG:4326"
-HEIGHT_KIND = "orthometric (EGM96)"
 # A single file with more features is slow to open.
 MANY = 20_000
-
-
-class KmzOptions(p.Parameters):
-    """Options of the KMZ."""
-
-    thumbnails: p.Flag = p.flag(
-        True, title="Thumbnails", help="A small undistorted picture of every photo, in its balloon."
-    )
-    thumbnail_px: p.Integer = p.integer(
-        512, title="Longer side of a thumbnail", unit="px", ge=64, le=2048, advanced=True
-    )
-    views: p.Flag = p.flag(
-        True, title="Photo views", help="Photos to look through from where they were taken "
-        "(PhotoOverlay, Google Earth Pro); they show the thumbnails.",
-    )  # fmt: skip
-    track_hz: p.Number = p.number(
-        2.0, title="Samples of the flight a second", unit="Hz", gt=0, le=10, advanced=True
-    )
-    overlay: Literal["auto", "pyramid", "single", "none"] = p.choice(
-        "auto",
-        title="Mosaic",
-        help="auto = one picture up to 2048 px, else a pyramid of tiles; a single picture is "
-        "made smaller to 2048 px and is what phones and browsers show.",
-    )
-    max_mb: p.Number | None = p.number(
-        None, title="Largest size", unit="MB", help="The mosaic is made coarser to fit.", gt=0
-    )
-    max_zoom: p.Integer | None = p.integer(
-        None, title="Deepest level of the pyramid", help="0 is one tile of 256 px; each level "
-        "halves the pixel.", ge=0, le=24, advanced=True,
-    )  # fmt: skip
-    quality: p.Integer = p.integer(
-        85, title="JPEG quality of the mosaic", ge=1, le=100, advanced=True
-    )
-
-
-class KmlOptions(p.Parameters):
-    """Options of the plain KML."""
 
 
 class Kmz(Exporter[KmzOptions]):
@@ -180,19 +136,3 @@ def write_kmz(
     from exports.kml.package import write_package
 
     return write_package(site, target, options, feedback, project)
-
-
-def warnings_of(layers: Mapping[str, Layer]) -> list[str]:
-    """What is to be said of texts that KML cannot hold as they are."""
-    from exports.kml.placemarks import unfit_names
-
-    unfit = unfit_names(layers)
-    if not unfit:
-        return []
-    return [listed("control characters, which KML cannot hold, are written as \ufffd in", unfit)]
-
-
-def listed(what: str, names: list[str] | tuple[str, ...]) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return f"{what}: {', '.join(names[:5])}{more}"

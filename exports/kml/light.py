@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exports.kml.files import Counter, Spool, write_zip
-from exports.kml.kml import VECTORS, listed, warnings_of
+from exports.kml.options import VECTORS, listed, warnings_of
 from exports.kml.overlay import sheets
 from exports.kml.package import Package, open_mosaic
 from exports.kml.photos import pinholes
@@ -22,7 +22,7 @@ from georef_gis.errors import ExportError
 from georef_gis.toolbox import ExportReport, Feedback, check_cancelled
 
 if TYPE_CHECKING:
-    from exports.kml.light_kmz import LightKmzOptions
+    from exports.kml.options import LightKmzOptions
     from exports.site.columns import Layer
     from exports.site.site import SiteLayers
     from georef_gis.project import Project

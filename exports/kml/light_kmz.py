@@ -5,25 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from exports.kml.options import LightKmzOptions
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
-from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from exports.site.site import SiteLayers
     from georef_gis.project import Project
-
-
-class LightKmzOptions(p.Parameters):
-    """Options of the light KMZ."""
-
-    max_mb: p.Number = p.number(
-        10.0, title="Largest size", unit="MB", help="Of the file, and of its KML unpacked.",
-        gt=0,
-    )  # fmt: skip
-    features: p.Integer = p.integer(
-        1000, title="Most features", help="Of layers with more, some are left out, evenly.",
-        ge=1, le=100_000,
-    )  # fmt: skip
 
 
 class LightKmz(Exporter[LightKmzOptions]):

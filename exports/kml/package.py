@@ -21,8 +21,8 @@ from exports.kml.icons import (
     icon,
     styles_by_class,
 )
-from exports.kml.kml import CRS, HEIGHT_KIND, VECTORS, KmzOptions, listed, warnings_of
 from exports.kml.legend import LEGEND, STATEMENT, entries_of, legend, statement
+from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmzOptions, listed, warnings_of
 from exports.kml.overlay import (
     FOLDERS,
     SINGLE_SIDE,

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exports.tiles.web_tiles import TileOptions, write_tiles
+from exports.tiles.options import TileOptions
+from exports.tiles.web_tiles import write_tiles
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from exports.tiles.web_tiles import TileOptions, write_tiles
+from exports.tiles.options import TileOptions
+from exports.tiles.web_tiles import write_tiles
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource, check_cancelled
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from exports.tiles.options import DEEPEST, TileOptions
 from exports.tiles.web_mercator import WORLD, lonlat_from_mercator, pixel_size
-from exports.tiles.web_tiles import DEEPEST, TileOptions
 from georef_gis.errors import ExportError
 
 if TYPE_CHECKING:

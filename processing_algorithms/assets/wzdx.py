@@ -14,7 +14,7 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from georef_gis.measure.workzone.verdicts import Finding
-    from georef_gis.measure.workzone.wzdx import DevicePlace, WzdxSettings
+    from georef_gis.measure.workzone.wzdx_settings import DevicePlace, WzdxSettings
     from georef_gis.measure.workzone.zone_settings import ZoneSettings
     from processing_algorithms.assets.zone_input import ZoneAssets
 
@@ -52,13 +52,9 @@ class Wzdx(Algorithm[WzdxParameters]):
 
     def run(self, context: Context, parameters: WzdxParameters, feedback: Feedback) -> Result:
         """Make the feed."""
-        from georef_gis.measure.workzone.wzdx import (
-            accuracy_file,
-            build_feed,
-            stated_width,
-            wzdx_settings,
-        )
+        from georef_gis.measure.workzone.wzdx import accuracy_file, build_feed, stated_width
         from georef_gis.measure.workzone.wzdx_direction import direction_doubts
+        from georef_gis.measure.workzone.wzdx_settings import wzdx_settings
         from georef_gis.measure.workzone.zone_settings import read_zone
         from processing_algorithms.assets.zone_file import write_zone_file, zone_path
         from processing_algorithms.assets.zone_input import zone_assets
@@ -114,7 +110,8 @@ def _lines(zone: ZoneSettings) -> list[str]:
 
 
 def _settings(zone: ZoneSettings, found: ZoneAssets, lines: list[str]) -> WzdxSettings:
-    from georef_gis.measure.workzone.wzdx import suggested_impact, wzdx_settings
+    from georef_gis.measure.workzone.wzdx import suggested_impact
+    from georef_gis.measure.workzone.wzdx_settings import wzdx_settings
     from processing_algorithms.assets.zone_input import offset_to_left
 
     offset = offset_to_left(zone, found, lines)
@@ -126,7 +123,7 @@ def _places(found: ZoneAssets, settings: WzdxSettings, zone: ZoneSettings) -> li
     """Devices of the lines as drivers meet them."""
     from georef_gis.errors import InputError
     from georef_gis.measure.ellipses import error_ellipse, on_map
-    from georef_gis.measure.workzone.wzdx import DevicePlace
+    from georef_gis.measure.workzone.wzdx_settings import DevicePlace
     from processing_algorithms.assets.asset_clicks import CONF
 
     unknown = [line for line in settings.lines if line not in found.directed]

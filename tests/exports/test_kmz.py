@@ -18,7 +18,8 @@ from lxml import etree
 from pyproj import Transformer
 from site_cases import NASTY, dot_places, make_frame, make_site, write_mosaic, write_photos
 
-from exports.kml.kml import KmzOptions, write_kml, write_kmz
+from exports.kml.kml import write_kml, write_kmz
+from exports.kml.options import KmzOptions
 from georef_gis.errors import Cancelled, ExportError
 from georef_gis.geodesy import MapFrame, geoid_undulation
 from georef_gis.toolbox import CollectingFeedback

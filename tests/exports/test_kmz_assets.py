@@ -17,7 +17,8 @@ from kmz_assets import CLASSES, asset_tables
 from lxml import etree
 from site_cases import ORIGIN, dot_places, make_site, write_mosaic
 
-from exports.kml.kml import KmzOptions, write_kml, write_kmz
+from exports.kml.kml import write_kml, write_kmz
+from exports.kml.options import KmzOptions
 from exports.kml.tree import MOST_AT_ONCE
 from exports.site.site import SiteLayers
 from georef_gis.errors import ExportError

@@ -13,7 +13,8 @@ from cesium_cases import globe, seen
 from kmz_assets import asset_tables
 from site_cases import dot_places, make_frame, make_site, write_mosaic, write_photos
 
-from exports.kml.light_kmz import LightKmzOptions, write_light_kmz
+from exports.kml.light_kmz import write_light_kmz
+from exports.kml.options import LightKmzOptions
 from georef_gis.toolbox import CollectingFeedback
 
 

@@ -14,7 +14,8 @@ from kml_checks import GX, K, documents, faults_of
 from lxml import etree
 from site_cases import ORIGIN, make_site
 
-from exports.kml.kml import KmzOptions, write_kml, write_kmz
+from exports.kml.kml import write_kml, write_kmz
+from exports.kml.options import KmzOptions
 from exports.kml.track import Flown, flight_placemarks, read_trajectory
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import geoid_undulation

@@ -15,7 +15,8 @@ from kmz_assets import asset_tables
 from site_cases import make_frame, make_site, write_mosaic, write_photos
 
 from exports.kml.light import fewer, shares
-from exports.kml.light_kmz import LightKmzOptions, write_light_kmz
+from exports.kml.light_kmz import write_light_kmz
+from exports.kml.options import LightKmzOptions
 from exports.site.site import SiteLayers
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import CollectingFeedback

@@ -19,7 +19,8 @@ from kml_checks import GX, K, documents, faults_of
 from pyproj import Geod
 from site_cases import ORIGIN, make_site
 
-from exports.kml.kml import KmzOptions, write_kmz
+from exports.kml.kml import write_kmz
+from exports.kml.options import KmzOptions
 from exports.kml.photos import view_angles
 from exports.site.site import SiteLayers, SitePhoto
 from georef_gis.frames import R_ecef_from_enu

@@ -255,8 +255,8 @@ def test_too_many_tiles_are_refused_with_a_cure_that_works(project):
     with pytest.raises(ExportError, match=r"about 1\.\de\+09 tiles down to zoom 20") as caught:
         export(project, "xyz_tiles", max_zoom=20)
     cure = int(re.search(r"give max_zoom (\d+) or less", str(caught.value))[1])
+    from exports.tiles.options import TileOptions
     from exports.tiles.web_plan import MOST_TILES, plan_tiles
-    from exports.tiles.web_tiles import TileOptions
 
     with WebPicture(path, None) as picture:
         options = TileOptions(max_zoom=cure)

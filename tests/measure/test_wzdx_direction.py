@@ -11,8 +11,9 @@ import pytest
 from wzdx_cases import places, table
 
 from georef_gis.errors import InputError
-from georef_gis.measure.workzone.wzdx import DevicePlace, build_feed, wzdx_settings
+from georef_gis.measure.workzone.wzdx import build_feed
 from georef_gis.measure.workzone.wzdx_direction import direction_doubts
+from georef_gis.measure.workzone.wzdx_settings import DevicePlace, wzdx_settings
 
 NOW = datetime(2026, 3, 30, 12, tzinfo=UTC)
 

@@ -20,9 +20,9 @@ from georef_gis.measure.workzone.wzdx import (
     build_feed,
     stated_width,
     suggested_impact,
-    wzdx_settings,
 )
 from georef_gis.measure.workzone.wzdx_rules import check_feed, versions, wzdx_rules
+from georef_gis.measure.workzone.wzdx_settings import wzdx_settings
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 
 NOW = datetime(2026, 3, 30, 12, 0, 5, 700, tzinfo=timezone(timedelta(hours=-5)))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from georef_gis.errors import InputError
-from georef_gis.measure.workzone.wzdx import wzdx_settings
+from georef_gis.measure.workzone.wzdx_settings import wzdx_settings
 from georef_gis.measure.workzone.zone_settings import ZONE_FILE, read_zone, zone_template
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 

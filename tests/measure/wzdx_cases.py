@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from georef_gis.measure.workzone.wzdx import DevicePlace
+from georef_gis.measure.workzone.wzdx_settings import DevicePlace
 
 FULL: dict[str, Any] = {
     "version": "4.2",

@@ -16,7 +16,7 @@ from georef_gis.ellipsoid import Origin
 from georef_gis.errors import InputError
 
 if TYPE_CHECKING:
-    from georef_gis.measure.workzone.wzdx import DevicePlace, WzdxSettings
+    from georef_gis.measure.workzone.wzdx_settings import DevicePlace, WzdxSettings
 
 # deg clockwise from north; loops and what is not known have none
 HEADINGS = {"northbound": 0.0, "eastbound": 90.0, "southbound": 180.0, "westbound": 270.0}
