@@ -3,6 +3,7 @@
 from processing_algorithms.assets.assets import Assets
 from processing_algorithms.assets.screen_work_zone import ScreenWorkZone
 from processing_algorithms.assets.wzdx import Wzdx
+from processing_algorithms.change.change import ChangeTool
 from processing_algorithms.ingest.check import Check
 from processing_algorithms.ingest.init import Init
 from processing_algorithms.ingest.photos import ReadPhotos
@@ -78,6 +79,7 @@ ALGORITHMS = (
     SurfaceTool,
     ProfileTool,
     VolumeTool,
+    ChangeTool,
     ErrorBudget,
     PlanFlight,
 )

@@ -1,8 +1,6 @@
 """Shift between two pictures of the same ground in different bands.
 
-Near infrared and red differ in brightness, often in sign: grass is bright in one and dark in the
-other. Edges stay, so what is compared is the direction of the gradient without its sign: its
-square as a complex number, correlated over all shifts at once.
+A window is compared by its edges (`rasters.edge_shift`); here many of them are made one shift.
 """
 
 from __future__ import annotations
@@ -11,25 +9,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
+from georef_gis.rasters.edge_shift import edge_shift
 from georef_gis.rasters.profile import Transform
 
 Image = NDArray[Any]
 
-# px; takes the noise of pixels, and is enough for a smooth peak
-_BLUR = 1.5
-# px round the peak that are its own
-_PEAK = 5
-# the next best peak, and the least correlation, of a window that counts
-_SECOND_BEST, _LEAST_SCORE = 0.75, 0.03
-# part of a window that must show the ground in both, less the rim
-_LEAST_VALID = 0.6
-# parts of a pixel in which the peak is looked at
-_FINE = 10
 # windows that must agree, as a number and as a part of those that found a peak
 _LEAST_AGREEING, _LEAST_PART = 4, 0.5
 # px: windows within this of each other speak of one shift; the field varies slowly
@@ -119,77 +107,8 @@ def window_shift(
         Shift of columns and rows, px, as in `WindowShift`, and the score; None where the window
         is bland, too empty, repeats itself, or has edges of one direction only.
     """
-    if valid.mean() < _LEAST_VALID:
-        return None
-    inside = cv2.erode(valid.astype(np.uint8), np.ones((9, 9), np.uint8), borderValue=0)
-    rows, cols = valid.shape
-    taper = np.outer(np.hanning(rows), np.hanning(cols)) * inside
-    fields = [
-        edges for image in (first, second) if (edges := _edges(image, valid, taper)) is not None
-    ]
-    if len(fields) < 2:
-        return None
-    cross = np.conj(np.fft.fft2(fields[0])) * np.fft.fft2(fields[1])
-    energy = float(np.sqrt(np.prod([np.sum(np.abs(field) ** 2) for field in fields])))
-    peak = _clear_peak(np.fft.ifft2(cross).real / energy, most)
-    if peak is None:
-        return None
-    d_row, d_col = _fine_peak(cross, peak[0], peak[1])
-    return None if max(abs(d_row), abs(d_col)) > most else (d_col, d_row, peak[2])
-
-
-def _clear_peak(surface: Image, most: float) -> tuple[int, int, float] | None:
-    """Row, column and height of the highest peak near no shift, if no other comes near it."""
-    reach = min(int(np.ceil(most)) + _PEAK, min(surface.shape) // 2 - 1)
-    near = np.roll(surface, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1].copy()
-    row, col = (int(i) for i in np.unravel_index(np.argmax(near), near.shape))
-    best = float(near[row, col])
-    near[max(row - _PEAK, 0) : row + _PEAK + 1, max(col - _PEAK, 0) : col + _PEAK + 1] = -np.inf
-    if best < _LEAST_SCORE or near.max() > _SECOND_BEST * best:
-        return None
-    return row - reach, col - reach, best
-
-
-def _edges(image: Image, valid: NDArray[np.bool_], taper: Image) -> Image | None:
-    """Squared gradients, complex, tapered, summed over the bands; None if all are bland."""
-    total: Image = np.zeros(valid.shape, np.complex128)
-    some = False
-    for band in np.moveaxis(image, 2, 0):
-        values = band.astype(np.float64)
-        values[~valid] = values[valid].mean()
-        smooth = cv2.GaussianBlur(values, (0, 0), _BLUR)
-        d_row, d_col = np.gradient(smooth)
-        gradient = d_col + 1j * d_row
-        size = np.abs(gradient)
-        usual = float(np.sqrt(np.mean(size[taper > 0] ** 2))) if (taper > 0).any() else 0.0
-        if usual < 1e-9 * max(1.0, float(np.abs(values).max())):
-            continue
-        some = True
-        # a bright car must not outweigh the rest
-        total += gradient**2 / np.maximum(size, 1e-12) * np.minimum(1.0, 3 * usual / (size + usual))
-    if not some:
-        return None
-    weight = taper.sum()
-    # edges of one direction all over would make a ridge of the whole surface
-    return np.asarray((total - (total * taper).sum() / weight) * taper)
-
-
-def _fine_peak(cross: Image, row: int, col: int) -> tuple[float, float]:
-    """Place of the peak to a fraction of a pixel: its surroundings, finely, and a parabola."""
-    steps = np.arange(-_FINE, _FINE + 1) / _FINE
-    rows, cols = cross.shape
-    along_rows = np.exp(2j * np.pi * np.outer(row + steps, np.fft.fftfreq(rows)))
-    along_cols = np.exp(2j * np.pi * np.outer(np.fft.fftfreq(cols), col + steps))
-    fine = (along_rows @ cross @ along_cols).real
-    i, j = (int(k) for k in np.unravel_index(np.argmax(fine), fine.shape))
-    return row + _top(steps, fine[:, j], i), col + _top(steps, fine[i], j)
-
-
-def _top(steps: Image, values: Image, at: int) -> float:
-    if not 0 < at < len(values) - 1:
-        return float(steps[at])
-    low, mid, high = values[at - 1 : at + 2]
-    return float(steps[at] + 0.5 * (low - high) / (low - 2 * mid + high) / _FINE)
+    found = edge_shift(first, second, valid, most=most)
+    return None if found is None else (found.d_col, found.d_row, found.score)
 
 
 def common_shift(windows: Sequence[WindowShift], *, tried: int, most: float) -> BandShift:

@@ -1,0 +1,1 @@
+"""The tool that compares two dates of a site."""
