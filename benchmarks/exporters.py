@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 SAMPLE = Path(__file__).parents[1] / "sample_project"
-FORMATS = ("geopackage", "geojson", "kml", "shapefile", "filegdb", "dxf", "geoparquet",
+FORMATS = ("geopackage", "geojson", "kml", "kmz", "light_kmz", "shapefile", "filegdb", "dxf", "geoparquet",
            "flatgeobuf", "csv", "postgis")  # fmt: skip
 # of 65 vertices, as the store draws them
 RING = 64
@@ -149,7 +149,9 @@ def export(name: str, project: str, target: str, service: str) -> int:
     from georef_gis.toolbox.exporter import tool_of
 
     tool = tool_of(next(one for one in EXPORTERS if one.id == name))
-    values: dict[str, Any] = {"layer": "assets", "target": Path(target)}
+    # packages of Google Earth hold the site as a whole, of which assets are nearly all
+    layer = "site" if "kmz" in name else "assets"
+    values: dict[str, Any] = {"layer": layer, "target": Path(target)}
     if name == "postgis":
         values = {"layer": "assets", "connection": service, "overwrite": True}
     context = Context(project=Project.open(Path(project)))
