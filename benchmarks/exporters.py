@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 
 SAMPLE = Path(__file__).parents[1] / "sample_project"
-FORMATS = ("geopackage", "geojson", "kml", "kmz", "light_kmz", "shapefile", "filegdb", "dxf", "geoparquet",
-           "flatgeobuf", "csv", "postgis")  # fmt: skip
+FORMATS = ("geopackage", "geojson", "kml", "kmz", "light_kmz", "shapefile", "filegdb", "dxf",
+           "geoparquet", "flatgeobuf", "csv", "postgis")  # fmt: skip
 # of 65 vertices, as the store draws them
 RING = 64
 # m around the middle of the site
