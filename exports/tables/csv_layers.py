@@ -16,6 +16,7 @@ from exports.tables.table_export import (
     report_of,
     write_fields,
 )
+from georef_gis.project.spreadsheet import guarded
 from georef_gis.toolbox import ExportReport
 from georef_gis.toolbox import parameters as p
 
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
     from exports.site.columns import Column, Layer
     from exports.site.site import SiteLayers
 
-# With these a spreadsheet takes a text for a formula, or drops what stands before one. An
-# apostrophe is among them so that the way back is sure.
-GUARDED = ("=", "+", "-", "@", "\t", "\r", "\n", "'", "＝", "＋", "－", "＠")
-GUARD = "'"
 _LONLAT = ("lon_deg", "lat_deg")
 _QUOTE = '"'
 _QUOTED = re.compile('[",\r\n]')
@@ -85,16 +82,6 @@ def write_csv(
                 columns.insert(0, extra[1][start:stop])
             columns += _places(layer, start, stop)
             stream.write("".join(",".join(row) + "\r\n" for row in zip(*columns, strict=True)))
-
-
-def guarded(text: str) -> str:
-    """Text that no spreadsheet takes for a formula."""
-    return GUARD + text if text.startswith(GUARDED) else text
-
-
-def unguarded(text: str) -> str:
-    """The text that `guarded` was given."""
-    return text.removeprefix(GUARD)
 
 
 def _cells(column: Column, start: int, stop: int) -> Sequence[str]:

@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from pathlib import PurePath
 
+from georef_gis.toolbox.ranges import with_ranges, without_figures
+
 # names listed one by one; more become the first and the last, or a count
 MOST_NAMES = 3
-_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
 _TRAILING_NUMBER = re.compile(r"(\d+)(?:\.\w+)?$")
 # stands for the photo's name inside a message; no message holds it
 _NAME = "\0"
@@ -26,7 +27,7 @@ def grouped(messages: Sequence[str]) -> list[str]:
     groups: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
     for message in dict.fromkeys(messages):
         name, text = _split(message)
-        key = (_NUMBER.sub("#", text),) if name else (message, "")
+        key = (without_figures(text),) if name else (message, "")
         groups.setdefault(key, []).append((name, text, message))
     return [_line(members) for members in groups.values()]
 
@@ -53,7 +54,7 @@ def _line(members: Sequence[tuple[str, str, str]]) -> str:
         head = f"{name}: "
     else:
         head = f"{len(members)} photos ({_names(names)}): "
-    return head + _with_ranges([text for _, text, _ in members]).replace(_NAME, PurePath(name).name)
+    return head + with_ranges([text for _, text, _ in members]).replace(_NAME, PurePath(name).name)
 
 
 def _names(names: Sequence[str]) -> str:
@@ -64,15 +65,3 @@ def _names(names: Sequence[str]) -> str:
     if first is not None and numbers == list(range(first, first + len(names))):
         return f"{names[0]} ... {names[-1]}"
     return f"{', '.join(names[:MOST_NAMES])} and {len(names) - MOST_NAMES} more"
-
-
-def _with_ranges(texts: Sequence[str]) -> str:
-    """The text that all share, with the least and the greatest of each figure that differs."""
-    columns = list(zip(*(_NUMBER.findall(text) for text in texts), strict=True))
-    shown = iter(
-        column[0]
-        if len(set(column)) == 1
-        else f"{min(column, key=float)} to {max(column, key=float)}"
-        for column in columns
-    )
-    return _NUMBER.sub(lambda _: next(shown), texts[0])

@@ -32,7 +32,7 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
         merged |= {key: report.result.summary[key] for key in MERGED_KEYS
                    if report.result.summary.get(key) is not None}  # fmt: skip
     products = [database, *products_of(reports)] if database.exists() else products_of(reports)
-    lines += [f"wrote  {_short(path)}" for path in products]
+    lines += [f"wrote  {short_path(path)}" for path in products]
     if "gsd_m" in merged:
         lines.append(f"GSD    {length_text(merged['gsd_m'])}")
     if "covered_m2" in merged:
@@ -54,7 +54,7 @@ def tool_lines(report: StepReport) -> list[str]:
     lines = ["unchanged since its last run; --force runs it"] if report.skipped else []
     written = [str(path) for path in report.result.outputs.values()]
     names = dict.fromkeys([*map(str, summary.get("products", ())), *written])
-    lines += [f"wrote  {_short(Path(name))}" for name in names]
+    lines += [f"wrote  {short_path(Path(name))}" for name in names]
     if summary.get("gsd_m") is not None:
         lines.append(f"GSD    {length_text(summary['gsd_m'])}")
     if summary.get("covered_m2") is not None:
@@ -137,7 +137,7 @@ def _number(value: Any) -> str:
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
-def _short(path: Path) -> str:
+def short_path(path: Path) -> str:
     """Path from the working directory if it lies below it."""
     relative = os.path.relpath(path)
     return str(path) if relative.startswith("..") else relative

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
-from georef_gis.rasters.edge_shift import edge_shift
+from georef_gis.rasters.edge_shift import agreeing, edge_shift
 from georef_gis.rasters.profile import Transform
 
 Image = NDArray[Any]
@@ -135,8 +135,7 @@ def common_shift(windows: Sequence[WindowShift], *, tried: int, most: float) -> 
         )
     places = np.array([(w.col, w.row) for w in windows])
     shifts = np.array([(w.d_col, w.d_row) for w in windows])
-    near = np.hypot(*np.moveaxis(shifts[:, None] - shifts[None], 2, 0)) <= _ONE_SHIFT
-    best = near[np.argmax(near.sum(axis=1))]
+    best = agreeing(shifts, _ONE_SHIFT)
     if best.sum() < max(_LEAST_AGREEING, _LEAST_PART * len(windows)):
         raise GeometryError(
             f"{int(best.sum())} of the {len(windows)} windows that found a shift agree on "

@@ -86,6 +86,12 @@ def edge_shift(
     return EdgeShift(d_col=d_col, d_row=d_row, score=peak[2])
 
 
+def agreeing(shifts: Image, most: float) -> NDArray[np.bool_]:
+    """Which shifts, (n, 2), lie within `most` of the one that most others are near to; (n,)."""
+    near = np.hypot(*np.moveaxis(shifts[:, None] - shifts[None], 2, 0)) <= most
+    return np.asarray(near[np.argmax(near.sum(axis=1))])
+
+
 def _clear_peak(surface: Image, most: float) -> tuple[int, int, float] | None:
     """Row, column and height of the highest peak near no shift, if no other comes near it."""
     reach = min(int(np.ceil(most)) + _PEAK, min(surface.shape) // 2 - 1)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from georef_gis.project.spreadsheet import guarded
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 
@@ -27,7 +28,6 @@ COLUMNS = (
 _MOST_TOLD = 10
 _MOST_NAMES = 5
 # A spreadsheet runs a cell that begins so.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 class AssetsParameters(p.Parameters):
@@ -251,14 +251,12 @@ def _write_table(
         told = (row["problems"], lost.get(row["asset_id"], ""))
         row["problems"] = "; ".join(filter(None, told))
     if path.suffix.lower() != ".json":
-        rows = [{name: _no_formula(value) for name, value in row.items()} for row in rows]
+        rows = [
+            {name: guarded(v) if isinstance(v, str) else v for name, v in row.items()}
+            for row in rows
+        ]
     write_rows(path, rows, COLUMNS)
     return path
-
-
-def _no_formula(value: Any) -> Any:
-    is_formula = isinstance(value, str) and value.startswith(_FORMULA)
-    return f"'{value}" if is_formula else value
 
 
 def asset_row(asset: Asset) -> dict[str, Any]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
-_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
+from georef_gis.toolbox.ranges import with_ranges, without_figures
 
 
 def points_told(lines: Iterable[tuple[str, str]]) -> list[str]:
@@ -20,22 +19,10 @@ def points_told(lines: Iterable[tuple[str, str]]) -> list[str]:
 
     groups: dict[str, list[tuple[str, str]]] = {}
     for name, text in lines:
-        groups.setdefault(_NUMBER.sub("#", text), []).append((name, text))
+        groups.setdefault(without_figures(text), []).append((name, text))
     out = []
     for members in groups.values():
         names = list(dict.fromkeys(name for name, _ in members))
         head = names[0] if len(names) == 1 else f"{len(names)} points ({some_names(names)})"
-        out.append(f"{head}: {_with_ranges([text for _, text in members])}")
+        out.append(f"{head}: {with_ranges([text for _, text in members])}")
     return out
-
-
-def _with_ranges(texts: Sequence[str]) -> str:
-    """The text that all share, with the least and the greatest of each figure that differs."""
-    columns = list(zip(*(_NUMBER.findall(text) for text in texts), strict=True))
-    shown = iter(
-        column[0]
-        if len(set(column)) == 1
-        else f"{min(column, key=float)} to {max(column, key=float)}"
-        for column in columns
-    )
-    return _NUMBER.sub(lambda _: next(shown), texts[0])

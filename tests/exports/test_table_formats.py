@@ -14,10 +14,10 @@ from site_cases import make_site
 
 from exports.site import schemas
 from exports.site.site import SiteLayers
-from exports.tables.csv_layers import GUARDED, guarded, unguarded
 from exports.tables.shapefile import SHORT_NAMES, TEXT_BYTES
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import CRS
+from georef_gis.project.spreadsheet import GUARDED, guarded, unguarded
 
 CUSTOM = CRS.from_user_input(
     "+proj=tmerc +lat_0=40 +lon_0=-83 +k=1 +x_0=1000 +y_0=2000 +datum=NAD83 +units=us-ft"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -191,12 +190,9 @@ def _tell(feedback: PlainFeedback, rows: Sequence[Row], written: Sequence[Path],
             exit_code=code,
         )
         return
+    from georef_gis.app.report import short_path
+
     feedback.__exit__()
     for path in written:
-        click.echo(f"wrote  {_short(path)}")
+        click.echo(f"wrote  {short_path(path)}")
     click.echo(f"sites  {', '.join(f'{number} {state}' for state, number in counts.items())}")
-
-
-def _short(path: Path) -> str:
-    relative = os.path.relpath(path)
-    return str(path) if relative.startswith("..") else relative

@@ -16,12 +16,11 @@ from urllib.parse import quote
 
 from georef_gis.app.batch.process import Outcome
 from georef_gis.errors import ExportError, GeorefError
+from georef_gis.project.spreadsheet import guarded
 from georef_gis.project.summary import SiteSummary
 from georef_gis.project.summary_layer import write_summary_layer
 
 CSV, HTML, LAYER = "batch.csv", "batch.html", "batch.gpkg"
-# What a spreadsheet takes for the beginning of a formula
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Doubts of a site that are written out; all are in its report.
 MOST_DOUBTS = 5
 COLUMNS = (
@@ -142,8 +141,8 @@ def csv_text(rows: Sequence[Row]) -> str:
 
 
 def _cell(value: Any) -> Any:
-    if isinstance(value, str) and value.startswith(FORMULA):
-        return f"'{value}"
+    if isinstance(value, str):
+        return guarded(value)
     return "" if value is None else value
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
+from georef_gis.rasters.edge_shift import agreeing
 from georef_gis.rasters.profile import Transform
 
 Array = NDArray[np.float64]
@@ -141,8 +142,7 @@ def fit_registration(windows: Sequence[WindowShift], *, tried: int, most: float)
             "are needed"
         )
     shifts = np.array([(w.d_col, w.d_row) for w in windows])
-    near = np.hypot(*np.moveaxis(shifts[:, None] - shifts[None], 2, 0)) <= _ONE_SHIFT
-    best = np.asarray(near[np.argmax(near.sum(axis=1))])
+    best = agreeing(shifts, _ONE_SHIFT)
     if best.sum() < max(LEAST_AGREEING, LEAST_PART * len(windows)):
         raise GeometryError(
             f"{int(best.sum())} of the {len(windows)} windows that found a shift agree to "
