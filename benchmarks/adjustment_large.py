@@ -1,4 +1,4 @@
-"""Part (d) of `adjustment_flights.py`: what large blocks take, each in a process of its own.
+"""Part (d) of `adjustment_quality.py`: what large blocks take, each in a process of its own.
 
     python benchmarks/adjustment_large.py PHOTOS OBSERVATIONS
 

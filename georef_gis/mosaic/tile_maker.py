@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from georef_gis.errors import InputError
 from georef_gis.model.grid import Window
 from georef_gis.model.plan import TileTask
+from georef_gis.mosaic.job import MosaicJob, Read, checked_reader
 from georef_gis.mosaic.seam_mismatch import Shift, Squares, Values
 from georef_gis.rasters.warp import Image, Mask
-
-if TYPE_CHECKING:
-    from georef_gis.mosaic.job import MosaicJob
-
-Read = Callable[[Path, int], Image]
-
-
-def checked_reader(get: Read, kind: tuple[int, str]) -> Read:
-    """Reader of photos that refuses those whose bands are not the mosaic's."""
-
-    def read(path: Path, reduce: int) -> Image:
-        image = get(path, reduce)
-        own = (int(image.shape[2]), str(image.dtype))
-        if own != kind:
-            raise InputError(
-                f"has bands {own[0]} x {own[1]} where the mosaic has {kind[0]} x {kind[1]}: not in "
-                "the mosaic; make it a mosaic of its own",
-                source=path.name,
-            )
-        return image
-
-    return read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from georef_gis.measure.workzone.verdicts import Finding
     from georef_gis.measure.workzone.wzdx_settings import DevicePlace, WzdxSettings
     from georef_gis.measure.workzone.zone_settings import ZoneSettings
-    from processing_algorithms.assets.zone_input import ZoneAssets
+    from processing_algorithms.assets.zone_found import ZoneAssets
 
 
 class WzdxParameters(p.Parameters):

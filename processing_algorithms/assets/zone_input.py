@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,50 +22,14 @@ from georef_gis.measure.workzone.screening import (
 from georef_gis.measure.workzone.zone_settings import LaneSettings, TaperSettings, ZoneSettings
 from georef_gis.units import INTERNATIONAL_FOOT as FOOT
 from processing_algorithms.assets.asset_places import JointPlaces, joint_places
+from processing_algorithms.assets.zone_found import ZoneAssets
 from processing_algorithms.assets.zone_travel import faces, sign_checks
 
 if TYPE_CHECKING:
-    from georef_gis.geodesy import MapFrame
     from georef_gis.project import Project
 
 DEVICES, SIGNS = "channelizing device", "sign"
 _INCH = FOOT / 12.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ZoneAssets:
-    """Assets of a zone with their places.
-
-    Parameters
-    ----------
-    lines
-        Devices by line, in the order of the row.
-    directed
-        Lines whose first device is known to be the first that drivers meet.
-    by_order
-        Those of them that the attribute `order` of their devices tells.
-    signs
-        By line.
-    edges
-        Lines by the name of their asset.
-    """
-
-    frame: MapFrame
-    places: JointPlaces
-    measured: Measured
-    lines: dict[str, tuple[Asset, ...]]
-    directed: frozenset[str]
-    by_order: frozenset[str]
-    signs: dict[str, tuple[Asset, ...]]
-    edges: dict[str, Asset]
-
-    def devices(self, line: str) -> tuple[int, ...]:
-        """Indices of the devices of a line."""
-        return tuple(self.places.indices[asset.id][0] for asset in self.lines[line])
-
-    def edge(self, name: str) -> tuple[int, ...]:
-        """Indices of the vertices of an edge; none for no name."""
-        return self.places.indices[self.edges[name].id] if name else ()
 
 
 def zone_assets(

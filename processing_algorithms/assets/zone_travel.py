@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,7 @@ from georef_gis.errors import InputError
 from georef_gis.frames import Array
 from georef_gis.measure.workzone.screening import SignCheck
 from georef_gis.measure.workzone.zone_settings import COMPASS, ZoneSettings
-
-if TYPE_CHECKING:
-    from processing_algorithms.assets.zone_input import ZoneAssets
+from processing_algorithms.assets.zone_found import ZoneAssets
 
 # deg between `travel` and a row, above which the end that comes first hangs on little
 _ASKEW = 60.0

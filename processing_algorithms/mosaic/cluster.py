@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
     from georef_gis.model.plan import Plan
-    from georef_gis.mosaic.job import MosaicJob, PhotoRoot, RenderedTile
+    from georef_gis.mosaic.job import MosaicJob, PhotoRoot
+    from georef_gis.mosaic.job_worker import RenderedTile
     from georef_gis.rasters.warp import ImageCache
     from processing_algorithms.mosaic.tiles import TileSink
 
@@ -181,7 +182,7 @@ def render_on_cluster(
     from distributed import KilledWorker
     from distributed.comm.core import CommClosedError
 
-    from georef_gis.mosaic.job import prepare_worker, write_job
+    from georef_gis.mosaic.job_worker import prepare_worker, write_job
 
     path = cluster.folder / f"job-{uuid4().hex}"
     write_job(path, job, plan.tiles, cluster.photos)
@@ -289,7 +290,7 @@ class _Run:
 
     def _give_out(self) -> bool:
         """Keep all threads busy; whether there are tiles left."""
-        from georef_gis.mosaic.job import tile_of
+        from georef_gis.mosaic.job_worker import tile_of
 
         if time.monotonic() - self._looked > LOOK:
             self._look()

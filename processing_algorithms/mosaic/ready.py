@@ -94,9 +94,8 @@ def _along_seams(
     optimised: bool,
 ) -> Ready:
     """Mosaic along seams, colours and low frequencies made alike."""
-    from georef_gis.mosaic.job import MosaicJob, read_photo
+    from georef_gis.mosaic.job import MosaicJob, checked_reader, read_photo
     from georef_gis.mosaic.seam_mismatch import MismatchProbe
-    from georef_gis.mosaic.tile_maker import checked_reader
     from processing_algorithms.mosaic.seamlines import SeamWishes, prepare, replanned
 
     wishes = SeamWishes(optimised=optimised, colour=parameters.colour, blend=parameters.blend)

@@ -19,10 +19,9 @@ from test_tin_mosaic import dem, tin
 from georef_gis.errors import InputError
 from georef_gis.model.mesh import Ground
 from georef_gis.model.terrain import Terrain
-from georef_gis.mosaic.job import (
-    MosaicJob,
+from georef_gis.mosaic.job import MosaicJob, PhotoRoot
+from georef_gis.mosaic.job_worker import (
     OpenJob,
-    PhotoRoot,
     _check_photos,
     open_job,
     read_job,

@@ -16,7 +16,8 @@ from test_mosaic_job import scene_and_job
 from georef_gis.errors import InputError
 from georef_gis.model.grid import Window
 from georef_gis.model.plan import plan_tiles
-from georef_gis.mosaic.job import MosaicJob, OpenJob, PhotoRoot, read_photo
+from georef_gis.mosaic.job import MosaicJob, PhotoRoot, read_photo
+from georef_gis.mosaic.job_worker import OpenJob
 from georef_gis.mosaic.seam_mismatch import MismatchProbe
 from georef_gis.mosaic.seam_steps import SeamPlaces
 from georef_gis.mosaic.tile_maker import TileMaker

@@ -1,6 +1,6 @@
 """The adjustment on simulated flights with truth: are its sigmas true, is it fast, against Ceres.
 
-    python benchmarks/adjustment_flights.py [--flights 40] [--check-flights 10] [--only a,b,c,d,e]
+    python benchmarks/adjustment_quality.py [--flights 40] [--check-flights 10] [--only a,b,c,d,e]
 
 (a) error/sigma of poses, points and shared unknowns over flights of five kinds; (b) the flight of
 the reference "One-step adjustment with Ceres", and Ceres itself; (c) check points with RTK-grade
