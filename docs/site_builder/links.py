@@ -13,12 +13,22 @@ from sphinx.transforms import SphinxTransform
 
 from georef_gis.errors import GeorefError
 from georef_gis.project.settings import Settings
+from site_builder.chapters import BORROWED
 from site_builder.command_lines import PROGRAM, command_of
 from site_builder.tool_pages import page_name
 
 SETTINGS = "settings"
 # Headings that are not the name of their section.
 ANCHORS = {"cameras": "cameras-model", "tools": "tools-tool"}
+
+
+def chapter_of(text: str) -> str:
+    """Page that ``measure.md`` or ``benchmarks/README.md`` names; empty if no text."""
+    for page, path in BORROWED.items():
+        if text == path:
+            return page
+    name = text.removeprefix("docs/")
+    return name.removesuffix(".md") if name.endswith(".md") else ""
 
 
 class LinkNames(SphinxTransform):
@@ -46,9 +56,8 @@ class LinkNames(SphinxTransform):
         return page.partition("#")[0] == f"{self.env.docname}.html"
 
     def _chapter(self, text: str) -> str:
-        name = text.removeprefix("docs/")
-        page = name.removesuffix(".md")
-        return page if name != page and page in self.env.found_docs else ""
+        page = chapter_of(text)
+        return page if page in self.env.found_docs else ""
 
     def _command(self, text: str) -> str:
         if not text.startswith(f"{PROGRAM} "):

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 
 def markdown(text: str) -> str:
-    """Plain text of a docstring as Markdown: nothing but spans of code has a meaning."""
+    """Plain text of a docstring as Markdown; spans of code and names of chapters have a meaning."""
+    text = re.sub(r"(?<![`/\w])docs/(\w+\.md)\b(?!`)", r"`\1`", text)
     parts = re.split(r"(``[^`]+``|`[^`]+`)", text)
     return "".join(
         part if number % 2 else re.sub(r"([\\<>*\[\]$#])", r"\\\1", part)

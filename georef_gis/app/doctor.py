@@ -21,6 +21,8 @@ from georef_gis.toolbox.steps import default_workers
 
 # bytes below which a site of a few hundred photos will not fit
 LEAST_DISK = 5_000_000_000
+# Without these nothing is read or written; one that is there may still fail when it is loaded.
+LIBRARIES = ("GDAL", "PROJ")
 # bytes, what the products are made within
 LEAST_MEMORY = 1_000_000_000
 
@@ -63,7 +65,11 @@ def _required() -> list[str]:
 
 def _data(folder: Path) -> Iterator[Finding]:
     for subject, fine, message in (*raster_findings(), *geodesy_findings(folder)):
-        yield Finding(subject=subject, state="ok" if fine else "doubtful", message=message)
+        state: State = "ok" if fine else "bad" if subject in LIBRARIES else "doubtful"
+        if subject == "grids" and message.startswith("0 in "):
+            state = "absent"
+            message = f"none{message[1:]}; EGM96 is built in, `georef grids` tells of others"
+        yield Finding(subject=subject, state=state, message=message)
 
 
 def _plugins(registry: Registry) -> Iterator[Finding]:
@@ -80,11 +86,13 @@ def _plugins(registry: Registry) -> Iterator[Finding]:
 
 def _page() -> Iterator[Finding]:
     """What `georef serve` needs."""
+    state: State = "ok"
     try:
         message = ", ".join(f"{name} {version(name)}" for name in ("fastapi", "uvicorn"))
     except PackageNotFoundError as error:
+        state = "absent"
         message = f'{error.name} is not installed; pip install "georef-gis[web]"'
-    yield Finding(subject="page (georef serve)", state="ok", message=message)
+    yield Finding(subject="page (georef serve)", state=state, message=message)
 
 
 def _machine(folder: Path) -> Iterator[Finding]:

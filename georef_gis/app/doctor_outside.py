@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 
 from georef_gis.app.findings import Finding, State
@@ -15,54 +18,92 @@ from georef_gis.app.findings import Finding, State
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 # Debian's wrapper `qgis_process` fails at every call; the program itself is beside it.
 QGIS = ("qgis_process.bin", "qgis_process", "qgis_process-qgis", "qgis_process-qgis-ltr", "qgis")
-# Where installers put QGIS without making it a command
+# Where installers put programs without making them commands
 QGIS_FOLDERS = {
     "win32": ("C:/Program Files/QGIS*/bin", "C:/OSGeo4W/bin"),
     "darwin": ("/Applications/QGIS*.app/Contents/MacOS/bin",),
 }
+BROWSER_FOLDERS = {
+    "win32": (
+        "C:/Program Files/Google/Chrome/Application",
+        "C:/Program Files (x86)/Google/Chrome/Application",
+    ),
+}
 DRIVER = "psycopg"
+# Folders of a server's extensions, of Debian, Red Hat, Windows, and Homebrew
+EXTENSIONS = (
+    "/usr/share/postgresql/*/extension",
+    "/usr/pgsql-*/share/extension",
+    "C:/Program Files/PostgreSQL/*/share/extension",
+    "/opt/homebrew/share/postgresql*/extension",
+)
+# s that a program may take to tell its version
+PATIENCE = 30.0
 
 
 def outside_findings() -> Iterator[Finding]:
     """Findings; what is not there is no fault of the installation, only less that can be done."""
-    yield from _qgis()
-    yield from _browser()
-    yield from _postgis()
+    parts: tuple[Callable[[], Iterator[Finding]], ...] = (_qgis, _plug_in, _browser, _postgis)
+    # Starting three programs one after the other would take seconds.
+    with ThreadPoolExecutor(len(parts)) as pool:
+        for found in pool.map(lambda part: list(part()), parts):
+            yield from found
 
 
 def _qgis() -> Iterator[Finding]:
     program = _command(QGIS, QGIS_FOLDERS.get(sys.platform, ()))
-    told = program or "not found; layers still open in any QGIS elsewhere"
-    yield Finding(subject="QGIS", state="ok", message=told)
+    if program is None:
+        told = "not found on PATH; layers and styles open in any QGIS elsewhere"
+        yield Finding(subject="QGIS", state="absent", message=told)
+        return
+    state, told = _tried(program)
+    yield Finding(subject="QGIS", state=state, message=told)
+
+
+def _plug_in() -> Iterator[Finding]:
     from georef_gis.app.qgis import profile_states
 
     states = profile_states()
     for title, words, fine in states:
         state: State = "ok" if fine else "doubtful"
         yield Finding(subject="QGIS plug-in", state=state, message=f"{title}: {words}")
-    if program and not states:
-        message = "in no profile; `georef qgis install --profile default`"
-        yield Finding(subject="QGIS plug-in", state="ok", message=message)
+    if not states and _command(QGIS, QGIS_FOLDERS.get(sys.platform, ())):
+        message = "in no profile; `georef qgis install` puts it there"
+        yield Finding(subject="QGIS plug-in", state="absent", message=message)
 
 
 def _browser() -> Iterator[Finding]:
-    program = _command(BROWSERS)
-    message = program or "not found; any other browser shows the page"
-    if find_spec("playwright") is not None and not program:
-        message += ", but the tests cannot look at it"
-    yield Finding(subject="Chromium", state="ok", message=message)
+    program = _command(BROWSERS, BROWSER_FOLDERS.get(sys.platform, ()))
+    if program is None:
+        told = "not found on PATH; any browser shows the page, only its tests need this one"
+        yield Finding(subject="Chromium", state="absent", message=told)
+        return
+    state, told = _tried(program)
+    yield Finding(subject="Chromium", state=state, message=told)
 
 
 def _postgis() -> Iterator[Finding]:
+    state: State = "ok"
     try:
         message = f"{DRIVER} {version(DRIVER)}, for `georef export-postgis`"
     except PackageNotFoundError:
-        message = f'{DRIVER} is not installed; pip install "georef-gis[postgis]"'
-    yield Finding(subject="PostGIS driver", state="ok", message=message)
-    controls = sorted(Path("/usr/share/postgresql").glob("*/extension/postgis.control"))
-    server = ", ".join(f"PostgreSQL {path.parents[1].name}" for path in controls)
-    message = f"{server} with PostGIS" if server else "none on this machine; one elsewhere will do"
-    yield Finding(subject="PostGIS server", state="ok", message=message)
+        state, message = "absent", f'{DRIVER}; pip install "georef-gis[postgis]"'
+    yield Finding(subject="PostGIS driver", state=state, message=message)
+    state, message = _server([path for pattern in EXTENSIONS for path in _glob(pattern)])
+    yield Finding(subject="PostGIS server", state=state, message=message)
+
+
+def _server(folders: Sequence[Path]) -> tuple[State, str]:
+    """What is installed on this machine, by folders of extensions; not whether it runs."""
+    names = {re.sub(r"\D+", "", path.parent.name) or path.parents[1].name: path for path in folders}
+    fine = [name for name, path in names.items() if (path / "postgis.control").is_file()]
+    if fine:
+        told = ", ".join(f"PostgreSQL {name}" for name in fine)
+        return "ok", f"{told} with PostGIS is installed here"
+    if names:
+        told = ", ".join(f"PostgreSQL {name}" for name in names)
+        return "absent", f"{told} without PostGIS; install that too, or use a server elsewhere"
+    return "absent", "none installed here; one elsewhere will do"
 
 
 def _command(names: Sequence[str], patterns: Sequence[str] = ()) -> str | None:
@@ -70,10 +111,47 @@ def _command(names: Sequence[str], patterns: Sequence[str] = ()) -> str | None:
     for name in names:
         if found := shutil.which(name):
             return found
-    for pattern in patterns:
-        root = Path(pattern).anchor
-        for folder in sorted(Path(root).glob(os.path.relpath(pattern, root)), reverse=True):
-            for name in names:
-                if found := shutil.which(name, path=str(folder)):
-                    return found
+    for folder in (folder for pattern in patterns for folder in _glob(pattern)):
+        for name in names:
+            if found := shutil.which(name, path=str(folder)):
+                return found
     return None
+
+
+def _glob(pattern: str) -> list[Path]:
+    """Folders of an absolute pattern, the newest version first."""
+    root = Path(pattern).anchor
+    return sorted(Path(root).glob(os.path.relpath(pattern, root)), reverse=True)
+
+
+def _tried(program: str) -> tuple[State, str]:
+    """Version and place of a program, or what happens when it is asked for its version."""
+    if sys.platform == "win32":
+        # There it would open a window.
+        return "ok", program
+    with tempfile.TemporaryDirectory(prefix="georef-doctor-") as home:
+        try:
+            done = subprocess.run(
+                [program, "--version"],
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                env=_clean_environment(home),
+                timeout=PATIENCE,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            reason = getattr(error, "strerror", None) or f"no answer in {PATIENCE:g} s"
+            return "doubtful", f"{program}: does not start ({reason}); install it again"
+    found = re.search(rb"\d+(?:\.\d+)+", done.stdout)
+    if done.returncode or found is None:
+        told = f"code {done.returncode}" if done.returncode else "no version told"
+        return "doubtful", f"{program}: does not start ({told}); install it again"
+    return "ok", f"{found.group().decode()}, {program}"
+
+
+def _clean_environment(home: str) -> dict[str, str]:
+    """Environment for another program: QGIS makes a profile at once, and a venv makes it crash."""
+    own = str(Path(sys.executable).parent)
+    path = [part for part in os.get_exec_path() if os.path.abspath(part) != own]
+    return {"HOME": home, "XDG_RUNTIME_DIR": home, "QT_QPA_PLATFORM": "offscreen",
+            "PATH": os.pathsep.join([*path, "/usr/bin", "/bin"]), "LANG": "C.UTF-8"}  # fmt: skip

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-State = Literal["ok", "doubtful", "bad"]
+# "absent" is no fault: less can be done without it.
+State = Literal["ok", "absent", "doubtful", "bad"]
+SIGNS: dict[State, str] = {"ok": "ok  ", "absent": "--  ", "doubtful": "??  ", "bad": "BAD "}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,8 +20,7 @@ class Finding:
 
     def line(self) -> str:
         """Text for a terminal."""
-        sign = {"ok": "ok  ", "doubtful": "??  ", "bad": "BAD "}[self.state]
-        return f"{sign}{self.subject:<24} {self.message}"
+        return f"{SIGNS[self.state]}{self.subject:<24} {self.message}"
 
     def content(self) -> dict[str, str]:
         """JSON-able content."""

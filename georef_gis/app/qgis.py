@@ -34,12 +34,12 @@ def qgis(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-def _where(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say which profile is meant."""
-    profile = click.option("--profile", default="", help="Name of the profile; else QGIS' default.")
+def _where(otherwise: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give the options that say which profile is meant; `otherwise` is that of no options."""
+    profile = click.option("--profile", default="", help=f"Name of the profile; else {otherwise}.")
     folder = click.option("--folder", type=click.Path(path_type=Path),
                           help="Folder of plug-ins, instead of a profile.")  # fmt: skip
-    return profile(folder(function))
+    return lambda function: profile(folder(function))
 
 
 def _profiles(profile: str, folder: Path | None) -> list[Profile]:
@@ -51,7 +51,7 @@ def _profiles(profile: str, folder: Path | None) -> list[Profile]:
 
 
 @qgis.command(short_help="Put the plug-in into a profile.")
-@_where
+@_where("the one that QGIS starts with")
 @click.option("--force", is_flag=True, help="Also over files that were changed by hand.")
 @face_options
 def install(profile: str, folder: Path | None, force: bool, as_json: bool, verbose: int) -> None:
@@ -71,6 +71,10 @@ def install(profile: str, folder: Path | None, force: bool, as_json: bool, verbo
             count = install_plugin(found, load_registry(), force=force)
             _say(feedback, f"{found.title()}: {count} tools, in {found.plugins / PLUGIN}")
             _switch_on(found, feedback)
+        others = {p.name for p in find_profiles(every=True)} - {p.name for p in profiles}
+        if others and not (profile or folder):
+            told = ", ".join(sorted(others))
+            _say(feedback, f"Not in the other profiles: {told}; --profile NAME puts it there too.")
         _say(feedback, "Start QGIS, again if it is running: Processing > Toolbox > georef.")
 
 
@@ -92,17 +96,15 @@ def _switch_on(profile: Profile, feedback: PlainFeedback) -> None:
 
 
 @qgis.command(short_help="Take the plug-in away.")
-@_where
+@_where("every one that has it")
 @face_options
 def remove(profile: str, folder: Path | None, as_json: bool, verbose: int) -> None:
     """Take away what `georef qgis install` put there, and nothing else."""
     with facing(Face(as_json=as_json, verbose=verbose)) as feedback:
-        from georef_gis.app.qgis_plugin_files import find_installed
         from georef_gis.app.qgis_plugin_files import remove as remove_plugin
 
-        profiles = _profiles(profile, folder)
-        there = [found for found in profiles if find_installed(found) is not None]
-        for found in there or profiles:
+        profiles = _profiles(profile, folder) if profile or folder else _with_plug_in()
+        for found in profiles:
             left = remove_plugin(found)
             if found.settings is not None:
                 disable(found.settings)
@@ -112,8 +114,24 @@ def remove(profile: str, folder: Path | None, as_json: bool, verbose: int) -> No
                               "not install or which was changed since")  # fmt: skip
 
 
+def _with_plug_in() -> list[Profile]:
+    """Profiles that have our plug-in; a foreign one of its name is an error if none has."""
+    from georef_gis.app.qgis_plugin_files import find_installed
+
+    there, foreign = [], []
+    for found in find_profiles(every=True):
+        try:
+            if find_installed(found) is not None:
+                there.append(found)
+        except InputError as error:
+            foreign.append(error)
+    if there:
+        return there
+    raise foreign[0] if foreign else InputError("the plug-in is not installed in any profile")
+
+
 @qgis.command(short_help="Where the plug-in is installed.")
-@_where
+@_where("all")
 @face_options
 def status(profile: str, folder: Path | None, as_json: bool, verbose: int) -> None:
     """Say where the plug-in is installed, and whether it would run."""
@@ -133,7 +151,7 @@ def profile_states() -> list[tuple[str, str, bool]]:
     """Profiles that have the plug-in: title, state in words, whether it would run."""
     states = [(found, _state(found)) for found in find_profiles(every=True)]
     return [
-        (found.title(), _words(state), "problem" not in state and state["works"])
+        (found.title(), _words(state), bool(state.get("works") and state.get("enabled", True)))
         for found, state in states
         if "problem" in state or state["installed"]
     ]
@@ -158,7 +176,7 @@ def _words(state: dict[str, Any]) -> str:
         return "not installed"
     words = [f"georef {state['version']}, run by {state['python']}"]
     if not state["works"]:
-        words.append("which is not there any more: `georef qgis install` again")
+        words.append(f"{state['why_not']}: `georef qgis install` again")
     elif not state["current"]:
         words.append("other than this georef's: `georef qgis install` brings it up to date")
     if not state.get("enabled", True):

@@ -58,10 +58,22 @@ class Installed:
     extra: tuple[str, ...]
     files: Mapping[str, str]
 
-    @property
-    def works(self) -> bool:
-        """Whether its interpreter is there."""
-        return Path(self.python).is_file()
+    def why_not(self) -> str:
+        """Why it would not run georef, in words; empty if it would."""
+        if self.python == sys.executable:
+            return ""
+        if not Path(self.python).is_file():
+            return "which is not there any more"
+        # What another Python or a shell set is not for this one.
+        env = {key: v for key, v in os.environ.items() if not key.startswith("PYTHON")}
+        try:
+            command = [self.python, "-P", "-m", "georef_gis.app", "--version"]
+            done = subprocess.run(
+                command, capture_output=True, timeout=TIMEOUT, check=False, env=env
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return "which does not start"
+        return "in which georef does not run" if done.returncode else ""
 
 
 def find_installed(profile: Profile) -> Installed | None:
@@ -204,8 +216,9 @@ def _count_tools(plugins: Path, cache: Path) -> int:
     """Number of algorithms, asked as the plug-in will: from elsewhere, by the same interpreter."""
     command = [sys.executable, "-B", "-P", "-c", LIST_TOOLS, str(plugins), str(cache)]
     done = subprocess.run(
-        command, capture_output=True, text=True, timeout=TIMEOUT, check=False, cwd=plugins
-    )
+        command, capture_output=True, encoding="utf-8", errors="replace", timeout=TIMEOUT,
+        check=False, cwd=plugins,
+    )  # fmt: skip
     if done.returncode:
         lines = done.stderr.strip().splitlines() or ["it says nothing"]
         raise InputError(f"georef does not run by itself: {lines[-1]}; install it with pip first")
@@ -242,6 +255,8 @@ def content(profile: Profile, found: Installed | None) -> dict[str, Any]:
                              "folder": str(profile.plugins / PLUGIN),
                              "installed": found is not None}  # fmt: skip
     if found is not None:
-        state |= {"version": found.version, "python": found.python, "works": found.works,
-                  "current": is_current(found), "changed": list(found.changed)}  # fmt: skip
+        why_not = found.why_not()
+        state |= {"version": found.version, "python": found.python, "works": not why_not,
+                  "why_not": why_not, "current": is_current(found),
+                  "changed": list(found.changed)}  # fmt: skip
     return state

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import os
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -98,38 +99,49 @@ def find_profiles(
     ]
     if every:
         return there
-    wanted = {root: name or _default(root) for _, root in places}
+    wanted = {root: name or _starts_with(root) for _, root in places}
     found = [p for p in there if p.name == wanted[p.folder.parent.parent]]
     if found:
         return found
+    if name != Path(name).name or name in (".", ".."):
+        raise InputError(f"{name!r} is no name of a profile; give one word", field="--profile")
     if name and not there:
         # QGIS never ran here: it takes a profile that is there when it starts.
         version, root = places[0]
         return [Profile(version=version, name=name, folder=root / "profiles" / name)]
-    raise _no_profile(name, there, places[0][1].parent)
+    raise _no_profile(name or wanted[places[0][1]], there, places[0][1].parent)
 
 
 def _no_profile(name: str, there: list[Profile], place: Path) -> InputError:
     if there:
         names = ", ".join(sorted({profile.name for profile in there}))
-        return InputError(
-            f"QGIS has no profile {name or DEFAULT_PROFILE!r}; use one of {names}",
-            field="--profile",
-        )
+        return InputError(f"QGIS has no profile {name!r}; use one of {names}", field="--profile")
     return InputError(
         f"there is no profile of QGIS in {place}; start QGIS once, or let one be made with "
         "`georef qgis install --profile default`, or name a folder of plug-ins with --folder"
     )
 
 
-def _default(root: Path) -> str:
+def _starts_with(root: Path) -> str:
     """Profile that QGIS starts with."""
     reader = configparser.ConfigParser(strict=False, interpolation=None)
     try:
         reader.read(root / "profiles" / "profiles.ini", encoding="utf-8")
-        return reader.get("core", "defaultProfile", fallback="") or DEFAULT_PROFILE
+        default, last, policy = (
+            _plain(reader.get("core", key, fallback=""))
+            for key in ("defaultProfile", "lastProfile", "selectionPolicy")
+        )
     except (configparser.Error, UnicodeDecodeError):
         return DEFAULT_PROFILE
+    # Since 3.32: the one used last, unless the user wants one and the same (1) or is asked (2).
+    if policy != "1" and last and (root / "profiles" / last).is_dir():
+        return last
+    return default or DEFAULT_PROFILE
+
+
+def _plain(value: str) -> str:
+    """Text of a value as Qt writes it: Qt 5 escapes what is no ASCII, both quote some."""
+    return re.sub(r"\\x([0-9a-fA-F]{1,4})", lambda m: chr(int(m[1], 16)), value.strip('"'))
 
 
 def is_enabled(settings: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -117,6 +118,15 @@ def test_a_page_tells_limits_choices_defaults_and_units() -> None:
     assert row == "| `OF` | [choice](../values.md#choice), `a`, `b\\|c` | required | Which. |"
 
 
+def test_chapters_named_in_help_texts_become_links(site: Path) -> None:
+    from site_builder.texts import markdown
+
+    assert markdown("see docs/frames.md, <b>") == "see `frames.md`, \\<b\\>"
+    assert markdown("see `docs/frames.md`") == "see `docs/frames.md`"
+    told = re.findall(r"<td>[^<]*docs/\w+\.md", (site / "settings.html").read_text("utf-8"))
+    assert told == []
+
+
 def test_every_kind_of_value_is_explained() -> None:
     from site_builder.tool_pages import TYPES
 
@@ -140,6 +150,24 @@ def test_every_chapter_has_a_place_in_the_order_of_reading() -> None:
     chapters = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
     assert chapters - set(ordered()) == set()
     assert len(ordered()) == len(set(ordered()))
+
+
+def test_every_chapter_that_a_text_names_as_code_is_there() -> None:
+    """Such names become links; one that is no chapter any more would stay as plain code."""
+    from site_builder.chapters import written
+    from site_builder.links import chapter_of
+
+    chapters = written(ROOT)
+    assert chapter_of("benchmarks/README.md") == "benchmarks"
+    assert chapter_of("docs/measure.md") == "measure"
+    assert chapter_of("tools.json") == ""
+    named = [
+        (path.name, name)
+        for path in chapters.values()
+        for name in re.findall(r"`([\w/.-]+\.md)`", path.read_text("utf-8"))
+    ]
+    assert len(named) > 50
+    assert [one for one in named if chapter_of(one[1]) not in chapters] == []
 
 
 def test_every_picture_is_shown_and_small() -> None:

@@ -21,6 +21,7 @@ from qgis.core import (
     QgsMapRendererParallelJob,
     QgsMapSettings,
     QgsProcessingContext,
+    QgsProcessingFeatureSourceDefinition,
     QgsProcessingFeedback,
     QgsProcessingModelAlgorithm,
     QgsProcessingModelChildAlgorithm,
@@ -123,7 +124,7 @@ def cancelled(alg, parameters, context, feedback, after):
 
 
 def model(job):
-    """A model of two of our algorithms, the project handed on from one to the next."""
+    """A saved model of two of our algorithms, the project handed on from one to the next."""
     made = QgsProcessingModelAlgorithm("test", "tests")
     made.addModelParameter(
         QgsProcessingParameterFile("folder", "Folder", QgsProcessingParameterFile.Behavior.Folder),
@@ -143,6 +144,10 @@ def model(job):
     second.setModelOutputs({"written": out})
     for child in (first, second):
         made.addChildAlgorithm(child)
+    # as a user keeps it
+    assert made.toFile(job["file"])
+    made = QgsProcessingModelAlgorithm()
+    assert made.fromFile(job["file"])
     context, feedback = QgsProcessingContext(), QgsProcessingFeedback()
     parameters = {"folder": job["project"], "second:written": job["target"]}
     fine, message = made.checkParameterValues(parameters, context)
@@ -218,11 +223,15 @@ def echo(job):
     from georef_qgis.tools import read_tool
 
     memory = QgsVectorLayer("Point?crs=EPSG:32617&field=size:double", "in memory", "memory")
-    feature = QgsFeature(memory.fields())
-    feature.setGeometry(QgsGeometry.fromWkt("POINT(1 2)"))
-    memory.dataProvider().addFeatures([feature])
+    for number in range(3):
+        feature = QgsFeature(memory.fields())
+        feature.setGeometry(QgsGeometry.fromWkt(f"POINT({number} 2)"))
+        memory.dataProvider().addFeatures([feature])
     QgsProject.instance().addMapLayer(memory)
-    given = {k: memory.id() if v == "memory" else v for k, v in job["parameters"].items()}
+    memory.selectByIds([2])
+    chosen = {"memory": memory.id(),
+              "selected": QgsProcessingFeatureSourceDefinition(memory.id(), True)}  # fmt: skip
+    given = {k: chosen.get(v, v) if isinstance(v, str) else v for k, v in job["parameters"].items()}
     alg = GeorefAlgorithm(read_tool(job["tool"]), job["command"]).create()
     context, feedback = QgsProcessingContext(), QgsProcessingFeedback()
     context.setProject(QgsProject.instance())
@@ -236,7 +245,8 @@ def echo(job):
             layer = QgsVectorLayer(word.partition("=")[2], "read again", "ogr")
             saved = [layer.featureCount(), layer.crs().authid()]
     QgsProject.instance().clear()
-    return {"ok": ran, "message": message, "words": words, "saved": saved,
+    types = {p.name(): p.type() for p in alg.parameterDefinitions()}
+    return {"ok": ran, "message": message, "words": words, "saved": saved, "types": types,
             "log": feedback.textLog(), "outputs": outputs}  # fmt: skip
 
 

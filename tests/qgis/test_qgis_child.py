@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import time
@@ -129,9 +130,38 @@ print(json.dumps({"event": "result"}))
 def test_environment_of_qgis_does_not_reach_georef() -> None:
     given = {"PYTHONHOME": "/q", "PYTHONPATH": "/q", "GDAL_DATA": "/q", "PROJ_LIB": "/q",
              "LD_LIBRARY_PATH": "/q", "QT_PLUGIN_PATH": "/q", "Path": "/bin", "GEOREF_DATA": "/d",
-             "HOME": "/h"}  # fmt: skip
+             "__PYVENV_LAUNCHER__": "/q", "HOME": "/h"}  # fmt: skip
     kept = child.clean_environment(given)
     assert set(kept) == {"Path", "GEOREF_DATA", "HOME", "PYTHONUTF8"}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "no JSON", "[1]", '{"event": 3}', '{"event": "progress", "fraction": null}', "[" * 100_000,
+        '{"event": "result", "summary": null}', '{"event": "result", "outputs": ["a"]}',
+        '{"event": "result", "warnings": "w"}',
+    ],
+    ids=lambda line: line[:40],
+)  # fmt: skip
+def test_line_that_is_no_event_of_georef_is_shown_as_it_is(line: str) -> None:
+    assert child.read_event(line) == {"event": "text", "message": line}
+
+
+def test_command_is_told_as_it_is_typed_on_each_system() -> None:
+    words = ["C:\\Program Files\\python.exe", "--note=it's", "a;b"]
+    assert child.typed(words, "win32") == '"C:\\Program Files\\python.exe" --note=it\'s a;b'
+    assert shlex.split(child.typed(words, "linux")) == words
+
+
+def test_windows_shows_no_console_and_posix_makes_a_group_to_be_ended() -> None:
+    # CREATE_NO_WINDOW of Windows' CreateProcess
+    assert child.start_options("win32") == {"creationflags": 0x08000000}
+    assert child.start_options("linux") == {"start_new_session": True}
+
+
+def test_program_named_with_the_quotes_of_windows_is_found() -> None:
+    assert manifest.find_command({}, f' "{sys.executable}" ')[0] == sys.executable
 
 
 def stub_georef(tmp_path: Path, version: int = 1) -> Path:

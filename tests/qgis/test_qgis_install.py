@@ -97,6 +97,53 @@ def test_install_serves_every_qgis_and_its_own_default_profile(home: Path, run: 
 
 
 @pytest.mark.parametrize(
+    ("ini", "name"),
+    [
+        # before 3.32: the default profile is the one used last
+        ("defaultProfile=work\n", "work"),
+        ("defaultProfile=default\nlastProfile=work\nselectionPolicy=0\n", "work"),
+        ("defaultProfile=default\nlastProfile=work\nselectionPolicy=1\n", "default"),
+        ("defaultProfile=default\nlastProfile=gone\n", "default"),
+        # as Qt 5 writes it, and Qt 6
+        ('lastProfile="B\\xfcro, 2"\n', "Büro, 2"),
+        ('lastProfile="Büro, 2"\n', "Büro, 2"),
+    ],
+)
+def test_install_takes_the_profile_that_qgis_starts_with(
+    home: Path, run: Run, ini: str, name: str
+) -> None:
+    folders = {one: profile(home, one) for one in ("default", "work", "Büro, 2")}
+    path = folders["default"].parent / "profiles.ini"
+    path.write_text(f"[core]\n{ini}", encoding="utf-8")
+    done = run("install")
+    assert done.exit_code == 0, done.output
+    assert [one for one, folder in folders.items() if installed(folder).exists()] == [name]
+    others = ", ".join(sorted(set(folders) - {name}))
+    assert f"Not in the other profiles: {others}; --profile NAME" in done.output
+
+
+def test_remove_finds_the_profiles_that_have_it(home: Path, run: Run) -> None:
+    for name in ("default", "work", "other"):
+        profile(home, name)
+    assert run("install", "--profile", "work").exit_code == 0
+    assert run("install", "--profile", "other").exit_code == 0
+    foreign = installed(home / PROFILE)
+    foreign.mkdir(parents=True)
+    done = run("remove")
+    assert done.exit_code == 0, done.output
+    assert done.output.count("removed from") == 2
+    assert foreign.is_dir()
+
+
+@pytest.mark.parametrize("name", ["../../x", "a/b", ".."])
+def test_profile_is_no_path(home: Path, run: Run, name: str) -> None:
+    done = run("install", "--profile", name)
+    assert done.exit_code == 2
+    assert "is no name of a profile" in done.output
+    assert tree(home) == {}
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         ((), "start QGIS once"),

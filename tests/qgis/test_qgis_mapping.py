@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import PurePath, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import pytest
 from qgis_cases import ROOT  # noqa: F401 (puts the plug-in's folder on the path)
 
-from georef_qgis import help_page, products, tools  # isort: skip
+from georef_qgis import help_page, products, telling, tools  # isort: skip
 from georef_gis.app.cli import georef as command
 from georef_gis.toolbox.algorithm import manifest
 from georef_gis.toolbox.registry import load_registry
@@ -171,6 +172,17 @@ def test_several_values_are_taken_apart(kind: str, given: Any, values: list[str]
     assert tools.split_lines(field(type=kind, multiple=True), given) == values
 
 
+def test_help_page_tells_types_units_and_limits_in_words() -> None:
+    text = help_page.page(tool(
+        entry(name="step", title="Step", type="Length", unit="m", above=0.0, maximum=5.0),
+        entry(name="on", title="On", type="Flag", default=True),
+        entry(name="line", title="Line", type="VectorLayer"),
+    ))  # fmt: skip
+    assert "<td>length in m<td><td>Step; above 0 m, at most 5 m" in text
+    assert "<td>yes or no<td>yes<td>On" in text
+    assert "<td>vector layer<td><td>Line" in text
+
+
 def test_help_page_escapes_what_a_manifest_says(all_tools: list[tools.Tool]) -> None:
     text = help_page.page(tool(entry(title="<b>&", help="\"'<script>"), help="a < b\n\nc"))
     assert "<script>" not in text
@@ -192,6 +204,21 @@ def test_outputs_of_a_run_that_was_up_to_date_are_found_by_their_names() -> None
     }  # fmt: skip
 
 
+def test_all_that_a_tool_answers_is_told() -> None:
+    summary = {
+        "photos": 2, "none": None, "of": "DEM",
+        "sightings": [{"photo": "A", "u": 1.5, "note": ""}, {"photo": "B", "u": 0, "note": None}],
+        "told": ["length 7.172 m"], "sources": {"gnss": 0.1, "rows": [1, 2]}, "empty": [],
+        "many": list(range(60)),
+    }  # fmt: skip
+    lines = telling.figures(summary)
+    assert lines[:7] == [
+        "photos: 2", "of: DEM", "sightings: photo A, u 1.5", "sightings: photo B, u 0",
+        "told: length 7.172 m", "sources, gnss: 0.1", "sources, rows: 1, 2",
+    ]  # fmt: skip
+    assert lines[-2:] == ["many: 49", "many: and 10 more"]
+
+
 def test_number_of_points_is_no_measured_place() -> None:
     place = {"name": "1", "easting": 1.0, "northing": 2.0}
     results = [{"summary": {"points": 12}}, {"summary": {"points": [place, {"name": "2"}]}}, {}]
@@ -206,6 +233,26 @@ def test_table_without_a_crs_is_no_layer(tmp_path: Any) -> None:
     (layer,) = products.layers_in(table, tmp_path)
     assert layer.crs == "EPSG:4326"
     assert "a%23b%3F.csv?" in layer.source
+
+
+@pytest.mark.parametrize(
+    ("path", "address"),
+    [
+        (PurePosixPath("/a b/é#?.gpkg"), "file:///a%20b/%C3%A9%23%3F.gpkg?mode=ro"),
+        (PureWindowsPath(r"C:\a b\x.gpkg"), "file:///C:/a%20b/x.gpkg?mode=ro"),
+        # two slashes more, or SQLite takes the server for a host and refuses
+        (PureWindowsPath(r"\\server\share\x.gpkg"), "file:////server/share/x.gpkg?mode=ro"),
+    ],
+)
+def test_database_is_read_from_drives_and_shares(path: PurePath, address: str) -> None:
+    assert products.database_address(path) == address
+
+
+def test_drawing_gets_the_crs_that_lies_beside_it(tmp_path: Any) -> None:
+    (tmp_path / "drawing.dxf").write_text("x")
+    assert products.layers_in(tmp_path / "drawing.dxf")[0].crs == ""
+    (tmp_path / "drawing.prj").write_text('PROJCS["own"]', encoding="utf-8")
+    assert products.layers_in(tmp_path)[0].crs == 'WKT:PROJCS["own"]'
 
 
 @pytest.mark.parametrize("content", [b"", b"no database", b"SQLite format 3\0rubbish"])

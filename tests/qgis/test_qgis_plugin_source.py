@@ -72,7 +72,7 @@ def test_names_in_the_compatibility_table_are_scoped() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["tools", "child", "manifest", "products", "help_page", "__init__"]
+    "name", ["tools", "child", "manifest", "products", "telling", "help_page", "__init__"]
 )
 def test_plain_modules_need_no_qgis(name: str) -> None:
     root = tree(PLUGIN / f"{name}.py")

@@ -102,7 +102,9 @@ def other_jobs(project: Path, base: Path) -> list[tuple[str, Job]]:
     p = str(project)
     return [
         ("places told only", job("locate", PROJECT=p, pixel=[CONE])),
-        ("map of a layer", {"kind": "model", "project": p, "target": str(base / "model.geojson")}),
+        ("temporary file", job("locate", PROJECT=p, pixel=CONE, target="TEMPORARY_OUTPUT")),
+        ("map of a layer", {"kind": "model", "project": p, "file": str(base / "two steps.model3"),
+                            "target": str(base / "model.geojson")}),
         ("dialogs", {"kind": "dialogs"}),
         ("no project", job("footprints", PROJECT=str(base))),
         ("no folder", job("footprints", PROJECT=str(base / "nothing"))),
@@ -138,6 +140,7 @@ def test_parameters_have_the_types_of_qgis(worked: Worked) -> None:
 
     assert kind("init", "crs") == "crs"
     assert kind("band_index", "raster") == "raster"
+    assert kind("profile", "line") == "source"
     assert kind("who_sees", "place") == "point"
     assert kind("orthos", "gsd") == "distance"
     assert kind("ppk", "nav") == "multilayer"
@@ -182,6 +185,7 @@ def test_tool_runs_in_qgis(worked: Worked, name: str) -> None:
         ("export_geopackage", "Assets", "categorizedSymbol"),
         ("band_index", "green", "singlebandpseudocolor"),
         ("places told only", "locate", "singleSymbol"),
+        ("temporary file", "Locate pixels", "singleSymbol"),
     ],
 )
 def test_results_come_onto_the_map_with_their_style(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 import sys
 from pathlib import Path
@@ -52,13 +53,21 @@ PARAMETERS = [
 ]
 
 
+EVENTS = [
+    {"event": "warning", "message": "told at once"},
+    {"event": "result", "tool": "toy:all", "duration_s": 1.0,
+     "warnings": ["told at once", "told at the end"], "summary": {"next": "georef run ../x"}},
+]  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def echoed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     base = tmp_path_factory.mktemp("echo")
     install(base / "home")
     written, stub = base / "words.json", base / "stub.py"
     stub.write_text(
-        f"import json, sys\nopen({str(written)!r}, 'w').write(json.dumps(sys.argv[1:]))\n",
+        f"import json, sys\nopen({str(written)!r}, 'w').write(json.dumps(sys.argv[1:]))\n"
+        f"for event in {EVENTS!r}:\n    print(json.dumps(event))\n",
         encoding="utf-8",
     )
     tool = {"provider": "toy", "full_id": "toy:all", "id": "all", "name": "all", "group": "own",
@@ -66,6 +75,8 @@ def echoed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]
             "outputs": []}  # fmt: skip
     pack = base / "a b.gpkg"
     geopackage(pack)
+    # QGIS leaves statistics beside a raster
+    shutil.copy(SAMPLE / "dem.asc", base)
     given: dict[str, dict[str, Any]] = {
         "nothing": {},
         "defaults": {"gsd": 5.0, "tilt": 30.0, "most": 8, "plots": True, "way": "a", "note": ""},
@@ -74,12 +85,18 @@ def echoed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]
             "place": "10.5,20.25 [EPSG:32617]", "place_height": 7.5,
             "corner": "1,2; 3,4,5@EPSG:6601", "pixel": "a.JPG:1,2\nb.JPG:3,4",
             "photos": "IMG_00*\nIMG_0001.JPG", "points": "memory", "size": "size",
-            "raster": str(SAMPLE / "dem.asc"), "gsd": 2.5, "span": 10.0, "tilt": 12.0, "share": 0.5,
+            "raster": str(base / "dem.asc"), "gsd": 2.5, "span": 10.0, "tilt": 12.0, "share": 0.5,
             "most": 3, "note": "=cmd \"x\" 'y' é😀", "plots": False, "way": "b",
             "nav": ["/a.nav", "/b.nav"], "target": str(base / "out.csv"),
         },
         "own crs": {"crs": CUSTOM},
+        "selected": {"points": "selected"},
+        "filtered": {"points": f"{pack}|layername=two|subset=n = 2"},
         "layer of a package": {"points": f"{pack}|layername=two"},
+        "layer by its number": {"points": f"{pack}|layerid=1"},
+        "empty texts": {"share": "", "place": "1,2 [EPSG:32617]", "place_height": "",
+                        "WORKERS": "", "crs": ""},
+        "no crs": {"crs": "nonsense"},
         "no layer": {"points": "/no/such.gpkg"},
         "out of range": {"share": 2.0},
         "no choice": {"way": "c"},
@@ -131,7 +148,7 @@ def test_every_type_reaches_georef_as_it_reads_it(echoed: dict[str, Any]) -> Non
     assert told["--pixel"] == ["a.JPG:1,2", "b.JPG:3,4"]
     assert told["--photos"] == ["IMG_00*", "IMG_0001.JPG"]
     assert told["--size"] == ["size"]
-    assert told["--raster"] == [str(SAMPLE / "dem.asc")]
+    assert [Path(name).name for name in told["--raster"]] == ["dem.asc"]
     assert [told[f"--{n}"] for n in ("gsd", "span", "tilt", "share", "most")] == [
         ["2.5"], ["10.0"], ["12.0"], ["0.5"], ["3"],
     ]  # fmt: skip
@@ -147,13 +164,38 @@ def test_every_type_reaches_georef_as_it_reads_it(echoed: dict[str, Any]) -> Non
 def test_layer_in_memory_is_saved_with_its_crs(echoed: dict[str, Any]) -> None:
     (path,) = words(echoed["all"])["--points"]
     assert ".gpkg" in path
-    assert echoed["all"]["saved"] == [1, "EPSG:32617"]
+    assert echoed["all"]["saved"] == [3, "EPSG:32617"]
+    listed = echoed["all"]["types"]
+    # QgsProcessingParameterFeatureSource: its dialog offers the selected features only
+    assert listed["points"] == "source"
 
 
-def test_layer_of_a_package_is_named_with_it(echoed: dict[str, Any]) -> None:
-    (path,) = words(echoed["layer of a package"])["--points"]
+def test_warning_is_told_once_and_the_next_step_in_words_of_the_toolbox(
+    echoed: dict[str, Any],
+) -> None:
+    log = echoed["nothing"]["log"]
+    assert (log.count("told at once"), log.count("told at the end")) == (1, 1)
+    assert "next: Make the products of a project" in log
+
+
+@pytest.mark.parametrize("name", ["selected", "filtered"])
+def test_only_features_that_were_chosen_are_saved(echoed: dict[str, Any], name: str) -> None:
+    (path,) = words(echoed[name])["--points"]
+    assert path.endswith(".gpkg")
+    assert echoed[name]["saved"] == [1, "EPSG:32617"]
+
+
+def test_empty_text_is_no_zero(echoed: dict[str, Any]) -> None:
+    assert words(echoed["empty texts"]) == {
+        "toy:all": [""], "--place": ["1.0,2.0@EPSG:32617"], "--json": [""],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["layer of a package", "layer by its number"])
+def test_layer_of_a_package_is_named_with_it(echoed: dict[str, Any], name: str) -> None:
+    (path,) = words(echoed[name])["--points"]
     assert path.endswith("a b.gpkg|layername=two")
-    assert echoed["layer of a package"]["saved"] == [2, "EPSG:32617"]
+    assert echoed[name]["saved"] == [2, "EPSG:32617"]
 
 
 def test_crs_that_no_authority_knows_goes_as_wkt(echoed: dict[str, Any]) -> None:
@@ -161,6 +203,11 @@ def test_crs_that_no_authority_knows_goes_as_wkt(echoed: dict[str, Any]) -> None
     assert told.startswith("PROJCRS[")
     assert "Site 7" in told
     assert json.dumps(told).count("\\n") == 0
+
+
+def test_crs_that_qgis_does_not_know_is_refused(echoed: dict[str, Any]) -> None:
+    assert not echoed["no crs"]["ok"]
+    assert "QGIS knows no CRS nonsense; give one such as" in echoed["no crs"]["log"]
 
 
 @pytest.mark.parametrize("name", ["no layer", "out of range", "no choice", "no number"])

@@ -7,7 +7,6 @@ from __future__ import annotations
 import html
 import os
 import re
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,8 @@ from qgis.PyQt.QtGui import QIcon
 from . import child, compat, products
 from .help_page import write_page
 from .loading import show_on_completion
-from .parameters import Reader, make_parameters, temporary
+from .parameters import Reader, is_given, make_parameters, temporary
+from .telling import tell, tell_result
 from .tools import RUN, Tool, arguments
 
 HERE = Path(__file__).parent
@@ -186,10 +186,11 @@ class GeorefAlgorithm(GeorefBase):
         project = self.project_folder(parameters, context) if self.tool.needs_project else ""
         values = self._values(parameters, context, feedback)
         words = arguments(self.tool, values, self._extra(parameters, context), project)
-        feedback.pushCommandInfo(shlex.join([*self.command, *words]))
+        feedback.pushCommandInfo(child.typed([*self.command, *words]))
+        warned: set[str] = set()
         outcome = child.run(
             [*self.command, *words],
-            lambda event: _tell(event, feedback),
+            lambda event: tell(event, feedback, warned),
             feedback.isCanceled,
             project or QgsProcessingUtils.tempFolder(),
         )
@@ -201,7 +202,7 @@ class GeorefAlgorithm(GeorefBase):
         if outcome.error:
             raise QgsProcessingException(outcome.error.replace("`georef run`", f"`{RUN['name']}`"))
         for result in outcome.results:
-            _tell_result(result, feedback)
+            tell_result(result, feedback, warned)
         return self._finish(outcome.results, values, project, parameters, context)
 
     def _values(self, parameters: Any, context: Any, feedback: Any) -> dict[str, Any]:
@@ -213,7 +214,7 @@ class GeorefAlgorithm(GeorefBase):
         extra = []
         if self.parameterAsBool(parameters, FORCE, context):
             extra.append("--force")
-        if parameters.get(WORKERS) is not None:
+        if is_given(parameters, WORKERS):
             extra.append(f"--workers={self.parameterAsInt(parameters, WORKERS, context)}")
         return extra
 
@@ -231,7 +232,13 @@ class GeorefAlgorithm(GeorefBase):
             outputs["project_folder"] = project
         if self.parameterAsBool(parameters, SHOW, context):
             told += [Path(path) for path in written.values()]
-            show_on_completion(self._files_to_show(results, told, project), folder, context)
+            # QGIS calls a temporary file by its parameter: `target` for all of them.
+            titles = {
+                Path(path): self.tool.title
+                for name, path in written.items()
+                if Path(path).stem == name
+            }
+            show_on_completion(self._files_to_show(results, told, project), folder, context, titles)
         return outputs
 
     def _files_to_show(self, results: Any, told: list[Path], project: str) -> list[Path]:
@@ -295,7 +302,7 @@ class ShowProject(GeorefBase):
             raise QgsProcessingException(
                 f"{folder}: has no products yet; run `Make the products of a project` first"
             )
-        show_on_completion(files, folder, context)
+        show_on_completion(files, folder, context, {})
         return {"project_folder": str(folder)}
 
 
@@ -313,40 +320,3 @@ def _project_nearby() -> str | None:
     """Folder of the QGIS project, if a project of georef lies there too."""
     home = QgsProject.instance().homePath()
     return home if home and os.path.isfile(os.path.join(home, SETTINGS)) else None
-
-
-def _tell(event: dict[str, Any], feedback: Any) -> None:
-    """Hand an event of georef on to the log and the progress bar of QGIS."""
-    message = str(event.get("message", ""))
-    if event["event"] == "progress":
-        feedback.setProgress(100.0 * float(event.get("fraction", 0.0)))
-        if message:
-            feedback.setProgressText(message)
-    elif event["event"] == "warning":
-        feedback.pushWarning(message)
-    elif event["event"] == "info":
-        feedback.pushInfo(message)
-    else:
-        feedback.pushConsoleInfo(message)
-
-
-def _tell_result(result: dict[str, Any], feedback: Any) -> None:
-    """Say what a step gave: figures, files, warnings and doubts."""
-    tool = str(result.get("tool", "")).rpartition(":")[2]
-    if result.get("skipped"):
-        feedback.pushInfo(f"{tool}: up to date")
-        return
-    summary = dict(result.get("summary", {}))
-    doubts, files = summary.pop("doubts", ()) or (), summary.pop("products", ()) or ()
-    feedback.pushInfo(f"{tool}: done in {result.get('duration_s', 0.0)} s")
-    for path in dict.fromkeys([*files, *result.get("outputs", {}).values()]):
-        feedback.pushInfo(f"  wrote {path}")
-    for name, value in summary.items():
-        if value is not None and not isinstance(value, (dict, list)):
-            feedback.pushInfo(f"  {name}: {value}")
-    for point in products.measured_places([result]):
-        feedback.pushInfo(
-            "  " + ", ".join(f"{k} {v}" for k, v in point.items() if v not in (None, ""))
-        )
-    for line in [*result.get("warnings", ()), *doubts]:
-        feedback.pushWarning(f"{tool}: {line}")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import queue
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,7 +18,9 @@ from typing import IO, Any
 
 # Set by QGIS for its own Python, GDAL and Qt; georef has others.
 FOREIGN = ("PYTHON", "GDAL_", "PROJ_", "QT_", "QGIS_", "LD_LIBRARY_PATH", "LD_PRELOAD", "DYLD_",
-           "OSGEO4W", "GEOTIFF_CSV", "OGR_", "CPL_")  # fmt: skip
+           "OSGEO4W", "GEOTIFF_CSV", "OGR_", "CPL_", "__PYVENV_LAUNCHER__")  # fmt: skip
+# Of Windows' CreateProcess: a console program started by QGIS shows no window.
+NO_WINDOW = 0x08000000
 # s between two looks at the wish to stop
 PAUSE = 0.05
 # s that georef has to end in good order before it is killed, with all it started
@@ -42,6 +45,16 @@ def clean_environment(given: Mapping[str, str]) -> dict[str, str]:
     """Environment without what QGIS set for itself."""
     kept = {k: v for k, v in given.items() if not k.upper().startswith(FOREIGN)}
     return {**kept, "PYTHONUTF8": "1"}
+
+
+def start_options(platform: str) -> dict[str, Any]:
+    """How a process is started: without a window, or as the head of a group to be ended."""
+    return {"creationflags": NO_WINDOW} if platform == "win32" else {"start_new_session": True}
+
+
+def typed(words: Sequence[str], platform: str = sys.platform) -> str:
+    """Command as it is typed into a terminal."""
+    return subprocess.list2cmdline(words) if platform == "win32" else shlex.join(words)
 
 
 def run(
@@ -89,9 +102,6 @@ CURE = (
 
 
 def _start(command: Sequence[str], folder: str | None) -> subprocess.Popen[bytes]:
-    options: dict[str, Any] = {"start_new_session": True}
-    if sys.platform == "win32":
-        options = {"creationflags": subprocess.CREATE_NO_WINDOW}
     return subprocess.Popen(
         list(command),
         stdin=subprocess.DEVNULL,
@@ -99,8 +109,23 @@ def _start(command: Sequence[str], folder: str | None) -> subprocess.Popen[bytes
         stderr=subprocess.PIPE,
         cwd=folder,
         env=clean_environment(os.environ),
-        **options,
+        **start_options(sys.platform),
     )
+
+
+def read_event(text: str) -> dict[str, Any]:
+    """Event of a line; a line that is none of georef's becomes a text."""
+    plain = {"event": "text", "message": text}
+    try:
+        event = json.loads(text)
+    except (ValueError, RecursionError):
+        return plain
+    if not (isinstance(event, dict) and isinstance(event.get("event"), str)):
+        return plain
+    types: dict[str, Any] = {"fraction": (int, float), "outputs": dict, "summary": dict,
+                             "warnings": list}  # fmt: skip
+    fits = (isinstance(event[name], kind) for name, kind in types.items() if name in event)
+    return event if all(fits) else plain
 
 
 class _Lines:
@@ -149,13 +174,7 @@ class _Lines:
                     take(text)
 
     def _event(self, text: str) -> None:
-        try:
-            event = json.loads(text)
-        except ValueError:
-            event = None
-        if not (isinstance(event, dict) and isinstance(event.get("event"), str)):
-            event = {"event": "text", "message": text}
-        self._waiting.put(event)
+        self._waiting.put(read_event(text))
 
     def _error(self, text: str) -> None:
         self.errors = [*self.errors, text][-MOST_LINES:]
@@ -197,7 +216,10 @@ def _end(child: subprocess.Popen[bytes]) -> None:
     if sys.platform == "win32":
         if child.poll() is None:
             tree = ["taskkill", "/F", "/T", "/PID", str(child.pid)]
-            subprocess.run(tree, capture_output=True, check=False)
+            try:
+                subprocess.run(tree, capture_output=True, check=False, creationflags=NO_WINDOW)
+            except OSError:
+                child.kill()
             child.wait()
         return
     if child.poll() is None:

@@ -15,6 +15,12 @@ STYLE = (
 )
 
 
+# Types of the manifest whose names are no words
+KINDS = {"RasterLayer": "raster layer", "VectorLayer": "vector layer", "MapPoint": "place",
+         "PhotoPixel": "pixel of a photo", "PhotoSet": "photos", "TableField": "field of a table",
+         "Crs": "CRS", "Flag": "yes or no"}  # fmt: skip
+
+
 def write_page(tool: Tool, folder: Path) -> str:
     """Address of a page that tells all of a tool; empty if it cannot be written."""
     path, text = folder / f"{tool.name}.html", page(tool)
@@ -35,7 +41,9 @@ def page(tool: Tool) -> str:
     table = (
         f"<table><tr><th>Parameter<th>Type<th>Default<th>What</tr>{rows}</table>" if rows else ""
     )
-    outs = "".join(f"<li><code>{e(o.name)}</code> {e(o.title)} ({e(o.type)})" for o in tool.outputs)
+    outs = "".join(
+        f"<li><code>{e(o.name)}</code> {e(o.title)} ({e(_kind(o.type))})" for o in tool.outputs
+    )
     outputs = f"<h2>Outputs</h2><ul>{outs}</ul>" if outs else ""
     project = " --project FOLDER" if tool.needs_project and not tool.is_run else ""
     line = f"georef {' '.join(tool.words)}{project}"
@@ -46,10 +54,17 @@ def page(tool: Tool) -> str:
     )
 
 
+def _kind(name: str) -> str:
+    """Type of the manifest in words."""
+    return KINDS.get(name, name.lower())
+
+
 def _row(field: Field) -> str:
     default = "" if field.default in (None, "", []) else field.default
-    what = ". ".join(text for text in (field.title, field.hint(), field.limits()) if text)
-    kind = field.kind + (f" [{field.unit}]" if field.unit else "")
+    if isinstance(default, bool):
+        default = "yes" if default else "no"
+    what = "; ".join(text for text in (field.title, field.hint(), field.limits()) if text)
+    kind = _kind(field.kind) + (f" in {field.unit}" if field.unit else "")
     cells = [f"<code>{html.escape(field.name)}</code>{' *' if field.required else ''}"]
     cells += [html.escape(str(text)) for text in (kind, default, what)]
     return "<tr>" + "".join(f"<td>{cell}" for cell in cells) + "</tr>"

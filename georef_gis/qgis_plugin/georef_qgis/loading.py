@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,10 +49,14 @@ class LayerDresser(QgsProcessingLayerPostProcessorInterface):
             _place(project.layerTreeRoot(), layer, self.file.source.endswith(HIDDEN))
 
 
-def show_on_completion(files: Iterable[Path], project: Path | None, context: Any) -> None:
-    """Let QGIS load the layers of files when the algorithm is done."""
+def show_on_completion(
+    files: Iterable[Path], project: Path | None, context: Any, titles: Mapping[Path, str]
+) -> None:
+    """Let QGIS load the layers of files when the algorithm is done; some files have a title."""
     for path in files:
         for found in _parts(path, layers_in(path, project)):
+            if found.title == path.stem:
+                found = replace(found, title=titles.get(path, found.title))
             hint = compat.RASTER_HINT if found.raster else compat.VECTOR_HINT
             details = QgsProcessingContext.LayerDetails(
                 found.title, context.project(), found.title, hint

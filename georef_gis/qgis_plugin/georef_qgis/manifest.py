@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .child import CURE, clean_environment
+from .child import CURE, clean_environment, start_options
 from .tools import ManifestError
 
 # Beside this file: the interpreter that `georef qgis install` ran with, and what to watch.
@@ -43,7 +43,8 @@ def find_command(config: Mapping[str, Any], chosen: str) -> list[str]:
     ManifestError
         If there is no such program.
     """
-    program = chosen.strip() or str(config.get("python", ""))
+    # Windows' "Copy as path" puts quotes round it.
+    program = chosen.strip().strip('"') or str(config.get("python", ""))
     if not program:
         raise ManifestError(f"georef is not known to this plug-in; {CURE}")
     if not os.path.isfile(program):
@@ -95,9 +96,6 @@ def _packages(program: Path) -> list[str]:
 
 
 def _ask(command: list[str]) -> dict[str, Any]:
-    options: dict[str, Any] = {}
-    if sys.platform == "win32":
-        options = {"creationflags": subprocess.CREATE_NO_WINDOW}
     try:
         done = subprocess.run(
             [*command, "tools", "--json"],
@@ -106,7 +104,7 @@ def _ask(command: list[str]) -> dict[str, Any]:
             timeout=TIMEOUT,
             env=clean_environment(os.environ),
             check=False,
-            **options,
+            **start_options(sys.platform),
         )
         content = json.loads(done.stdout.decode("utf-8")) if done.returncode == 0 else None
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:

@@ -15,6 +15,7 @@ from qgis.core import (
     QgsProcessingParameterDistance,
     QgsProcessingParameterEnum,
     QgsProcessingParameterExtent,
+    QgsProcessingParameterFeatureSource,
     QgsProcessingParameterField,
     QgsProcessingParameterFile,
     QgsProcessingParameterFileDestination,
@@ -24,8 +25,8 @@ from qgis.core import (
     QgsProcessingParameterPoint,
     QgsProcessingParameterRasterLayer,
     QgsProcessingParameterString,
-    QgsProcessingParameterVectorLayer,
     QgsProcessingUtils,
+    QgsProviderRegistry,
 )
 
 from . import compat
@@ -134,7 +135,8 @@ _MAKERS: dict[str, Callable[[Field], Any]] = {
     "raster": lambda f: QgsProcessingParameterRasterLayer(
         f.name, f.label, f.default, f.may_be_empty
     ),
-    "vector": lambda f: QgsProcessingParameterVectorLayer(
+    # This one offers "selected features only".
+    "vector": lambda f: QgsProcessingParameterFeatureSource(
         f.name, f.label, [compat.VECTORS], f.default, f.may_be_empty
     ),
     # A CRS with a default counts as not specified where it must be given.
@@ -155,6 +157,12 @@ _MAKERS: dict[str, Callable[[Field], Any]] = {
 }
 
 
+def is_given(parameters: Any, name: str) -> bool:
+    """Whether a parameter has a value; for QGIS an empty text would be the number 0."""
+    value = parameters.get(name)
+    return not (value is None or (isinstance(value, str) and not value))
+
+
 class Reader:
     """What the user gave to one run of an algorithm, as georef takes it."""
 
@@ -166,9 +174,9 @@ class Reader:
 
     def value(self, field: Field) -> Any:
         """Flag, text, number or list of them; None if nothing was given."""
-        raw = self.parameters.get(field.name)
-        if raw is None and not field.widget.endswith("_out"):
+        if not is_given(self.parameters, field.name) and not field.widget.endswith("_out"):
             return None
+        raw = self.parameters.get(field.name)
         if field.widget == "lines":
             given = raw if isinstance(raw, (list, tuple)) else self._string(field)
             return split_lines(field, given)
@@ -209,6 +217,12 @@ class Reader:
 
     def _crs(self, field: Field) -> str:
         crs = self.algorithm.parameterAsCrs(self.parameters, field.name, self.context)
+        # What is left open in a dialog is an invalid CRS too, but no text.
+        if not crs.isValid() and isinstance(self.parameters.get(field.name), str):
+            raise QgsProcessingException(
+                f"{field.title}: QGIS knows no CRS {self.parameters[field.name]}; give one such as "
+                "EPSG:6549"
+            )
         return _crs_text(crs)
 
     def _extent(self, field: Field) -> str:
@@ -223,7 +237,7 @@ class Reader:
         args = (self.parameters, field.name, self.context)
         place = self.algorithm.parameterAsPoint(*args)
         numbers = [place.x(), place.y()]
-        if self.parameters.get(height_of(field)) is not None:
+        if is_given(self.parameters, height_of(field)):
             height = (self.parameters, height_of(field), self.context)
             numbers.append(self.algorithm.parameterAsDouble(*height))
         return _with_crs(numbers, self.algorithm.parameterAsPointCrs(*args))
@@ -234,12 +248,13 @@ class Reader:
             raise QgsProcessingException(
                 self.algorithm.invalidRasterError(self.parameters, field.name)
             )
-        if layer.providerType() != "gdal":
+        kind, source = layer.providerType(), str(layer.source())
+        if kind != "gdal" or source.startswith("/vsimem/"):
             raise QgsProcessingException(
-                f"{field.title}: layer {layer.name()} is no file ({layer.providerType()}); save it "
-                "as GeoTIFF and give that"
+                f"{field.title}: layer {layer.name()} is no file ({kind}); save it as GeoTIFF and "
+                "give that"
             )
-        return str(layer.source())
+        return source
 
     def _vector(self, field: Field) -> str:
         # Without feedback this crashes on layers of a GeoPackage.
@@ -251,7 +266,20 @@ class Reader:
             raise QgsProcessingException(
                 f"{field.title}: {self._string(field)} is no vector layer that can be read"
             )
+        layer = self.algorithm.parameterAsVectorLayer(self.parameters, field.name, self.context)
+        if layer is not None and not name:
+            name = _name_by_number(path, layer.source())
         return f"{path}|layername={name}" if name else str(path)
+
+
+def _name_by_number(path: str, source: str) -> str:
+    """Name of a layer that is told by its number in its file; empty if it is not."""
+    registry = QgsProviderRegistry.instance()
+    number = registry.decodeUri("ogr", source).get("layerId")
+    if number is None or not source.startswith(path):
+        return ""
+    parts = registry.querySublayers(path)
+    return next((str(part.name()) for part in parts if part.layerNumber() == number), "")
 
 
 def _with_crs(numbers: Any, crs: Any) -> str:

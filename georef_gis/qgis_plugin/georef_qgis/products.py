@@ -6,8 +6,8 @@ from __future__ import annotations
 import csv
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import quote
 
@@ -59,7 +59,7 @@ def layers_in(path: Path, project: Path | None = None) -> list[LayerFile]:
     suffix = path.suffix.lower()
     if path.is_dir() and suffix != ".gdb":
         parts = (part for part in sorted(path.iterdir()) if part.suffix.lower() in VECTORS)
-        return [_layer(str(part), part.stem) for part in parts]
+        return [found for part in parts for found in layers_in(part)]
     if not path.exists():
         return []
     if suffix in RASTERS:
@@ -69,8 +69,15 @@ def layers_in(path: Path, project: Path | None = None) -> list[LayerFile]:
     if suffix == ".csv":
         return _places(path, project)
     if suffix in VECTORS or suffix in PACKS:
-        return [_layer(str(path), path.stem)]
+        return [replace(_layer(str(path), path.stem), crs=_crs_beside(path))]
     return []
+
+
+def database_address(path: PurePath) -> str:
+    """Address of a database to be read by sqlite, on drives and network shares of Windows too."""
+    name = path.as_posix()
+    # of what follows two slashes SQLite takes the first part for a host
+    return f"file://{'' if name.startswith('/') else '/'}{quote(name, safe='/:')}?mode=ro"
 
 
 def _layer(source: str, name: str, *, title: str = "", raster: bool = False) -> LayerFile:
@@ -92,7 +99,7 @@ def style_of(name: str, raster: bool = False) -> str:
 
 def _tables(path: Path) -> list[LayerFile]:
     """Layers of a GeoPackage that have features; read-only, so that QGIS' locks do not matter."""
-    address = f"file:{quote(path.as_posix())}?mode=ro"
+    address = database_address(path.absolute())
     query = "SELECT table_name, identifier FROM gpkg_contents WHERE data_type = 'features'"
     try:
         connection = sqlite3.connect(address, uri=True, timeout=5.0)
@@ -126,7 +133,7 @@ def _places(path: Path, project: Path | None) -> list[LayerFile]:
         place, crs = "xField=lon_deg&yField=lat_deg", "EPSG:4326"
     else:
         return []
-    address = f"file://{quote(path.resolve().as_posix())}?type=csv&detectTypes=yes&{place}"
+    address = f"{path.absolute().as_uri()}?type=csv&detectTypes=yes&{place}"
     return [
         LayerFile(
             source=f"delimitedtext://{address}",
@@ -136,6 +143,16 @@ def _places(path: Path, project: Path | None) -> list[LayerFile]:
             crs=crs,
         )
     ]
+
+
+def _crs_beside(path: Path) -> str:
+    """CRS of a drawing: QGIS does not read it from the file beside it. Empty if there is none."""
+    if path.suffix.lower() != ".dxf":
+        return ""
+    try:
+        return f"WKT:{path.with_suffix('.prj').read_text('utf-8').strip()}"
+    except (OSError, ValueError):
+        return ""
 
 
 def project_crs(project: Path) -> str:
@@ -148,7 +165,7 @@ def project_crs(project: Path) -> str:
     if not database.is_file():
         return ""
     try:
-        address = f"file:{quote(database.as_posix())}?mode=ro"
+        address = database_address(database.absolute())
         connection = sqlite3.connect(address, uri=True, timeout=5.0)
         try:
             row = connection.execute(query).fetchone()

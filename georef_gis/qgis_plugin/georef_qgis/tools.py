@@ -67,6 +67,9 @@ class Field:
     advanced: bool = False
     positional: bool = False
     writes: bool = False
+    # Whether the limits themselves are not allowed; a field of QGIS takes them, georef does not.
+    above: bool = False
+    below: bool = False
 
     @property
     def label(self) -> str:
@@ -81,8 +84,9 @@ class Field:
     def limits(self) -> str:
         """What may be given, in words; empty if anything may."""
         unit = f" {self.unit}" if self.unit else ""
-        words = [f"at least {self.minimum:g}{unit}"] if self.minimum is not None else []
-        words += [f"at most {self.maximum:g}{unit}"] if self.maximum is not None else []
+        low, high = "above" if self.above else "at least", "below" if self.below else "at most"
+        words = [f"{low} {self.minimum:g}{unit}"] if self.minimum is not None else []
+        words += [f"{high} {self.maximum:g}{unit}"] if self.maximum is not None else []
         words += ["one of " + ", ".join(self.choices)] if self.choices else []
         return ", ".join(words)
 
@@ -199,6 +203,8 @@ def read_field(item: Mapping[str, Any], project: bool) -> Field:
         advanced=bool(item.get("advanced")),
         positional=bool(item.get("positional")),
         writes=bool(item.get("writes")),
+        above="minimum" not in item and "above" in item,
+        below="maximum" not in item and "below" in item,
     )
 
 
