@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Box = tuple[float, float, float, float]
 # Longest text of parameters and of results of a step
 _MOST_LETTERS = 800
+# m, to which the formats of features write places (docs/formats.md)
+_VERTEX_STEP = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +117,9 @@ class ProductFacts:
     ----------
     box
         West, south, east, north, deg; west > east across the antimeridian.
+    spacing : m
+        Nominal distance of neighbouring coordinates: the GSD, of tiles and folders that of the
+        step they are made from, of vertices what they are rounded to.
     expected : m
         One sigma per horizontal axis that the poses promise.
     doubts
@@ -132,6 +137,7 @@ class ProductFacts:
     height_kind: str
     box: Box | None
     gsd: float | None
+    spacing: float | None
     grid: tuple[int, int] | None
     expected: float | None
     accuracy: Accuracy | None
@@ -191,17 +197,17 @@ class SiteFacts:
         digest, meant, size = checksum(product.path)
         crs, code = self._crs(product, raster)
         steps = steps_before(self.runs, product)
-        doubts = _doubts(product)
+        gsd = _gsd(product, raster)
         return ProductFacts(
             site=self, product=product, size=size, checksum=digest, checksum_of=meant,
             crs_name=str(crs.name) if crs is not None else "", crs_code=code,
             crs_wkt=crs.to_wkt() if crs is not None else "",
             height_kind=str(product.summary.get("height_kind") or ""),
             box=self.box if raster is None or raster.box is None else raster.box,
-            gsd=_gsd(product, raster), grid=raster.size if raster else None,
+            gsd=gsd, spacing=_spacing(product, gsd, steps), grid=raster.size if raster else None,
             expected=None if product.older_than else _expected(steps),
             accuracy=None if product.older_than else self.accuracy,
-            steps=tuple(_step(run) for run in steps), doubts=doubts,
+            steps=tuple(_step(run) for run in steps), doubts=_doubts(product),
         )  # fmt: skip
 
     def _crs(self, product: Product, raster: Raster | None) -> tuple[CRS | None, str]:
@@ -273,6 +279,18 @@ def _gsd(product: Product, raster: Raster | None) -> float | None:
     if raster is not None and raster.gsd is not None:
         return raster.gsd
     return number_of(product.summary, "gsd_m")
+
+
+def _spacing(
+    product: Product, gsd: float | None, steps: Sequence[Mapping[str, Any]]
+) -> float | None:
+    """Nominal distance of neighbouring coordinates, m; None if there is no telling."""
+    if gsd is not None:
+        return gsd
+    if product.representation != "grid":
+        return _VERTEX_STEP
+    found = (number_of(r["summary"], "gsd_m") for r in reversed(steps) if r["summary"])
+    return next((length for length in found if length), None)
 
 
 # -- lineage and accuracy ----------------------------------------------------------------------

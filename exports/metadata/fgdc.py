@@ -64,7 +64,8 @@ def _identification(facts: ProductFacts) -> Element:
             "descript",
             _text("abstract", abstract(facts)),
             _text("purpose", ""),
-            _text("supplinf", f"{facts.checksum_of} of the product: {facts.checksum}"),
+            _text("supplinf", f"{facts.checksum_of} of the product: {facts.checksum}; CRS: "
+                  f"{_crs_name(facts) or UNKNOWN}"),
         ),
         element("timeperd", _period(facts), element("current", text=_current(facts))),
         element("status", element("progress", text="Complete"), _text("update", "")),
@@ -153,9 +154,16 @@ def _organisation(facts: ProductFacts) -> Iterable[Element]:
                       element("colcount", text=str(columns)))  # fmt: skip
 
 
-def _reference(facts: ProductFacts) -> Element:
-    """CRS as text: the standard's own list of projections has none of NSRS 2022 or of a county."""
-    name = " ".join(part for part in (facts.crs_name, facts.crs_code) if part)
+def _reference(facts: ProductFacts) -> Element | None:
+    """CRS as text: the standard's own list of projections has none of NSRS 2022 or of a county.
+
+    None without a spacing, as the standard has no word for an unknown one; the CRS is named in
+    `supplinf` as well.
+    """
+    if facts.spacing is None:
+        return None
+    spacing = f"{facts.spacing:.9g}"
+    name = _crs_name(facts)
     planar = element("planar", element(
         "gridsys",
         element("gridsysn", text="other grid system"),
@@ -163,14 +171,14 @@ def _reference(facts: ProductFacts) -> Element:
     ), element(
         "planci",
         element("plance", text="row and column" if facts.grid else "coordinate pair"),
-        element("coordrep", _text("absres", _length(facts)), _text("ordres", _length(facts))),
+        element("coordrep", element("absres", text=spacing), element("ordres", text=spacing)),
         element("plandu", text="metres; coordinates in the unit of the CRS"),
     ))  # fmt: skip
     return element("spref", element("horizsys", planar))
 
 
-def _length(facts: ProductFacts) -> str:
-    return "" if facts.gsd is None else f"{facts.gsd:.9g}"
+def _crs_name(facts: ProductFacts) -> str:
+    return " ".join(part for part in (facts.crs_name, facts.crs_code) if part)
 
 
 def _distribution(facts: ProductFacts) -> Element:

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from georef_gis.errors import ExportError
 
-ISO, FGDC = ".xml", ".fgdc.xml"
+ISO, FGDC, QMD = ".xml", ".fgdc.xml", ".qmd"
 State = Literal["none", "ours", "broken", "edited", "foreign", "folder", "too long"]
 # Bytes that a file's name may have on most disks
 _LONGEST_NAME = 255
@@ -50,7 +50,8 @@ def state_of(path: Path) -> State:
         root = ElementTree.fromstring(data)
     except ElementTree.ParseError:
         return "broken"
-    return "edited" if root.tag.endswith("}MD_Metadata") and b"georef_gis" in data else "foreign"
+    known = root.tag.endswith("}MD_Metadata") or root.tag == "qgis"
+    return "edited" if known and b"georef_gis" in data else "foreign"
 
 
 def checksum_in(path: Path) -> str:
@@ -89,7 +90,10 @@ def write_metadata(path: Path, text: str, checksum: str) -> None:
 def remove_orphans(folder: Path, kept: set[Path]) -> list[Path]:
     """Remove files of ours in a folder whose product is gone; gives what was removed."""
     gone = []
-    for path in sorted(folder.glob(f"*{ISO}")) if folder.is_dir() else ():
+    if not folder.is_dir():
+        return []
+    for path in sorted(path for ending in (ISO, QMD) for path in folder.glob(f"*{ending}")):
+        # a .qmd has not its product's whole name: `kept` tells of which there is one
         name = path.name.removesuffix(FGDC) if path.name.endswith(FGDC) else path.stem
         if path in kept or path.with_name(name).exists() or state_of(path) != "ours":
             continue

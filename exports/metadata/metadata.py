@@ -30,7 +30,7 @@ class MetadataParameters(p.Parameters):
         "iso",
         title="Standard",
         help="iso: ISO 19115 as ISO 19139 XML, beside the product as NAME.xml. fgdc: FGDC CSDGM "
-        "as NAME.fgdc.xml. both: the two.",
+        "as NAME.fgdc.xml. both: the two. With iso also a .qmd beside each GeoTIFF, for QGIS.",
         choices=("iso", "fgdc", "both"),
     )
 
@@ -48,6 +48,8 @@ class Metadata(Algorithm[MetadataParameters]):
     needs = ("photos",)
     wants = ("poses", "adjusted", "footprints", "orthos", "mosaic", "control", "accuracy", "report")
     in_run = True
+    # folders of features, .qmd files, valid FGDC
+    version = "2"
 
     def inputs(self, context: Context, parameters: MetadataParameters) -> Sequence[Path]:
         """Products, which exports by hand change outside of any run."""
@@ -59,14 +61,16 @@ class Metadata(Algorithm[MetadataParameters]):
         """Write the files; remove ours of products that are gone."""
         from exports.metadata.files import metadata_path, remove_orphans
         from exports.metadata.products import read_products
+        from exports.metadata.qmd import qgis_path
 
         project = context.require_project()
         products = read_products(project)
         written: list[Path] = []
         if products:
             written = self._write(context, products, parameters, feedback)
-        kept = {metadata_path(one.path) for one in products}
-        for path in remove_orphans(project.products, kept | set(written)):
+        kept = {metadata_path(one.path) for one in products} | set(written)
+        kept |= {path for one in products if (path := qgis_path(one.path)) is not None}
+        for path in remove_orphans(project.products, kept):
             feedback.info(f"{path.name}: removed, for what it was of is gone")
         # one name each: a file that is deleted is written again by the next run
         return Result(
@@ -114,25 +118,33 @@ def _targets(product: Path, parameters: MetadataParameters) -> list[Path]:
 
 
 def _writers() -> Mapping[str, Callable[[ProductFacts], str]]:
+    """What makes the text of a file, by the ending of its name."""
     from exports.metadata.fgdc import fgdc_metadata
+    from exports.metadata.files import FGDC, ISO, QMD
     from exports.metadata.iso import iso_metadata
+    from exports.metadata.qmd import qgis_metadata
 
-    return {"iso": iso_metadata, "fgdc": fgdc_metadata}
+    return {FGDC: fgdc_metadata, ISO: iso_metadata, QMD: qgis_metadata}
 
 
 def _free(
     product: Product, parameters: MetadataParameters, feedback: Feedback
 ) -> dict[Path, Callable[[ProductFacts], str]]:
     """Files to write of a product: those in whose place nothing lies that is not ours."""
-    from exports.metadata.files import FGDC, state_of
+    from exports.metadata.files import state_of
+    from exports.metadata.qmd import qgis_path
 
+    targets = _targets(product.path, parameters)
+    if parameters.standard != "fgdc" and (path := qgis_path(product.path)) is not None:
+        targets.append(path)
     out: dict[Path, Callable[[ProductFacts], str]] = {}
-    for path in _targets(product.path, parameters):
+    for path in targets:
         state = state_of(path)
         if state in KEPT:
             feedback.warn(f"{path.name}: {KEPT[state]}")
         else:
-            out[path] = _writers()["fgdc" if path.name.endswith(FGDC) else "iso"]
+            # the first that fits: an FGDC file's name ends as an ISO file's does, too
+            out[path] = next(w for end, w in _writers().items() if path.name.endswith(end))
     return out
 
 

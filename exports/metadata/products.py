@@ -39,6 +39,10 @@ FOLDERS: Mapping[str, tuple[str, str]] = {
     "export_xyz_tiles": ("XYZ tiles", "grid"),
     "export_tagged_photos": ("folder of JPEG", "grid"),
     "export_csv": ("folder of CSV", "textTable"),
+    "export_shapefile": ("folder of Shapefiles", "vector"),
+    "export_dxf": ("folder of a DXF and CSV", "vector"),
+    "export_geoparquet": ("folder of GeoParquet", "vector"),
+    "export_flatgeobuf": ("folder of FlatGeobuf", "vector"),
 }
 # Tools after which what was written before is of other poses.
 POSE_TOOLS = ("read_photos", "orient_direct", "orient_navigation", "adjust")

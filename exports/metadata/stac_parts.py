@@ -76,8 +76,8 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def stamp(when: datetime) -> str:
-    """Time in UTC as RFC 3339 has it, to the millisecond."""
-    return when.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.") + f"{when.microsecond // 1000:03d}Z"
+    """Time in UTC as RFC 3339 has it, to the microsecond, so that texts are in order of time."""
+    return when.astimezone(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def span_of_clock(clock: datetime) -> tuple[datetime, datetime]:

@@ -27,6 +27,10 @@ _KINDS: dict[str, tuple[str, GeometryKind]] = {
     ELLIPSES: ("Error ellipses of assets", "Polygon"),
 }
 _UNITS = ("_deg", "_m")
+# Of a name in a warning
+_MOST_LETTERS = 60
+# A column of 64 bits holds numbers between these
+_SMALLEST, _LARGEST = -(2**63), 2**63 - 1
 # Vertices that are transformed at once, which bounds the memory
 _BATCH = 100_000
 
@@ -41,19 +45,28 @@ def what_is_lost(tables: Sequence[AssetTable]) -> tuple[str, ...]:
     """What to say of assets that `asset_layers` leaves out, or takes in part."""
     unreadable: list[str] = []
     pierced: list[str] = []
+    cells: list[str] = []
+    added: list[str] = []
     for table in tables:
         if table.layer != ELLIPSES:
             unreadable += table.names(np.diff(table.offsets) == 0)
             pierced += table.names(table.holes > 0)
+            cells += _no_numbers(table)
+            added += [f"{table.layer}.{name}" for name in table.columns if name not in _KNOWN]
     told = (
         ("assets left out, as they have no geometry of their kind", unreadable),
         ("areas written without their holes, which assets cannot have", pierced),
-    )
+        ("cells left empty, as they hold no number of 64 bits", cells),
+        ("columns that a GIS added are left out; make them attributes in asset_classes.toml",
+         added),
+    )  # fmt: skip
     return tuple(f"{what}: {_listed(names)}" for what, names in told if names)
 
 
 def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    """The first names in one line, whatever line ends they hold and however long they are."""
+    first = ", ".join(" ".join(name.split())[:_MOST_LETTERS] for name in names[:5])
+    return first + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def _layer(frame: MapFrame, name: str, table: AssetTable | None) -> Layer:
@@ -101,11 +114,19 @@ def _first_places(frame: MapFrame, xy: Array, height: Array) -> dict[str, Column
 # -- columns -----------------------------------------------------------------------------------
 
 
+def _source(field: Field) -> str:
+    """Name of a field's column in ``assets.gpkg``, where units are not part of the names."""
+    unit = next((unit for unit in _UNITS if field.name.endswith(unit)), "")
+    return field.name.removesuffix(unit)
+
+
+# Columns of ``assets.gpkg`` that are written, and the number of a row, which is GDAL's
+_KNOWN = frozenset(map(_source, schemas.ASSET_FIELDS)) | {"fid"}
+
+
 def _column(table: AssetTable, field: Field, kept: NDArray[np.bool_]) -> Column:
     """Values of a field, whatever a GIS user wrote into its column."""
-    name = next((field.name.removesuffix(u) for u in _UNITS if field.name.endswith(u)),
-                field.name)  # fmt: skip
-    found = table.columns.get(name)
+    found = table.columns.get(_source(field))
     if found is None:
         return Column.of(field.kind, [None] * int(kept.sum()))
     values = found[kept]
@@ -115,20 +136,37 @@ def _column(table: AssetTable, field: Field, kept: NDArray[np.bool_]) -> Column:
         if field.kind == "real":
             return Column.of("real", values)
         values = values.astype(object)
-    numbers = [_number(value) for value in values.tolist()]
-    if field.kind == "integer":
-        return Column.of("integer", [None if x is None else int(x) for x in numbers])
-    return Column.of(field.kind, numbers)
+    read = _whole if field.kind == "integer" else _number
+    return Column.of(field.kind, [read(value) for value in values.tolist()])
+
+
+def _no_numbers(table: AssetTable) -> list[str]:
+    """Columns of numbers in which a GIS user wrote something else, with how often."""
+    told = []
+    for field in schemas.ASSET_FIELDS:
+        values = table.columns.get(_source(field))
+        if field.kind == "text" or values is None:
+            continue
+        if values.dtype == object:
+            read = _whole if field.kind == "integer" else _number
+            bad = sum(x is not None and x != "" and read(x) is None for x in values.tolist())
+        else:
+            bad = int(np.isinf(values).sum())
+        if bad:
+            told.append(f"{table.layer}.{field.name} ({bad})")
+    return told
 
 
 def _texts(values: NDArray[Any]) -> list[str | None]:
     if values.dtype != object:
         return [None if math.isnan(x) else str(x) for x in values.tolist()]
+    return [None if value is None or value == "" else _text(value) for value in values.tolist()]
+
+
+def _text(value: Any) -> str:
+    text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
     # a NUL would end the text in most formats, and PostgreSQL refuses it
-    return [
-        None if value is None or value == "" else str(value).replace("\0", "\ufffd")
-        for value in values.tolist()
-    ]
+    return text.replace("\0", "\ufffd")
 
 
 def _number(value: Any) -> float | None:
@@ -137,3 +175,13 @@ def _number(value: Any) -> float | None:
     except (TypeError, ValueError):
         return None
     return measured if math.isfinite(measured) else None
+
+
+def _whole(value: Any) -> int | None:
+    if isinstance(value, int):
+        # a float would round what is larger than 2**53
+        return value if _SMALLEST <= value <= _LARGEST else None
+    measured = _number(value)
+    if measured is None or not _SMALLEST <= measured < float(_LARGEST):
+        return None
+    return int(measured)

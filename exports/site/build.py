@@ -209,7 +209,9 @@ def _utc(photo: Photo, epoch_gps: float) -> datetime | None:
 def _iso(instant: datetime | None) -> str | None:
     if instant is None:
         return None
-    return instant.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    # a sync board counts microseconds; what is whole stays short
+    digits = "microseconds" if instant.microsecond % 1000 else "milliseconds"
+    return instant.isoformat(timespec=digits).replace("+00:00", "Z")
 
 
 # -- footprints, track, cameras -----------------------------------------------------------------

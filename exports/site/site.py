@@ -107,6 +107,8 @@ class SiteLayers(SiteValues):
             return self.tie_points
         if name not in self.layers:
             raise ExportError(
-                f"layer {name!r} cannot be exported to this format; use one of {', '.join(LAYERS)}"
+                f"layer {name!r} cannot be exported: only the project's own layers are, not files "
+                "of others, which QGIS or ogr2ogr convert; use one of site, photos, poses, "
+                "footprints, control, tie_points, assets"
             )
         return self.layers[name]

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # deg, and CRS units or m: 0.1 mm each
 DEGREE_DECIMALS, LENGTH_DECIMALS = 9, 4
+# Whole numbers of 64 bits end there
+_MOST = 2.0**63
 _ZERO, _BLANK, _MINUS, _POINT = b"0 -."
 
 
@@ -83,6 +85,12 @@ def check_places(values: Array) -> None:
 def _digits(values: Array, decimals: int) -> NDArray[np.uint8]:
     """Characters of numbers; shape (n, width)."""
     check_places(values)
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest * 10.0**decimals >= _MOST:
+        raise ExportError(
+            f"a vertex has a coordinate or height of {largest:.3g}, which is none on Earth; "
+            "correct or delete it in a GIS"
+        )
     rest = np.rint(np.abs(values) * 10.0**decimals).astype(np.int64)
     whole = rest // 10**decimals
     most = len(str(int(whole.max(initial=0))))

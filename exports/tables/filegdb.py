@@ -66,10 +66,12 @@ def _short(layer: Layer, name: str, column: Column) -> Column:
 
     if column.values.dtype != np.int64:
         return column
-    if len(column.values) and np.abs(column.values).max() > _LARGEST:
+    # not by their absolute values: that of the smallest of 64 bits is negative
+    large = column.values[(column.values > _LARGEST) | (column.values < -_LARGEST)]
+    if len(large):
         raise ExportError(
-            f"{layer.name}.{name}: {int(np.abs(column.values).max())} is larger than the 32 bits "
-            "of a geodatabase; use GeoPackage"
+            f"{layer.name}.{name}: {int(large[0])} is larger than the 32 bits of a geodatabase; "
+            "use GeoPackage"
         )
     return Column(values=column.values.astype(np.int32), missing=column.missing)
 

@@ -69,6 +69,7 @@ def write_geojson(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTO
         If all that is asked for is what the project has not.
     """
     from exports.tables.geojson_features import bounds_of, feature_lines
+    from exports.tables.vector_file import unplaced_warning
 
     layers = [site.layer(name) for name in names]
     if set(names) <= OPTIONAL and not any(len(layer) for layer in layers):
@@ -89,5 +90,5 @@ def write_geojson(site: SiteLayers, target: Path, names: tuple[str, ...] = VECTO
         stream.write("\n]}\n")
     return ExportReport(
         crs="EPSG:4326", height_kind="ellipsoidal", features=sum(map(len, layers)),
-        warnings=site.warnings,
+        warnings=site.warnings + (unplaced_warning(site) if "photos" in names else ()),
     )  # fmt: skip

@@ -41,6 +41,8 @@ class GeoPackage(Exporter[GeoPackageOptions]):
     accepts = ("site", "vector")
     target = "site.gpkg"
     in_run = True
+    # assets are styled
+    version = "2"
     needs = ("photos", "poses", "footprints", "mosaic")
     wants = ("adjusted", "control", "accuracy")
 

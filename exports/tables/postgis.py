@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +17,13 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     import psycopg
 
+    from exports.site.columns import Layer
+
 # s; a server that does not answer, a table that another program keeps locked
 CONNECT_S, LOCK_S = 10, 30
 _NAME = re.compile(r"^[a-z_][a-z0-9_]{0,62}$")
 # password=..., sslpassword=..., and user:password@ of an address
-_SECRET = re.compile(r"(?i)(?:^|[\s?&])(?:ssl)?password\s*=|^\w+://[^/@?]*:[^/@?]*@")
+_SECRET = re.compile(r"(?i)(?:^|[\s?&])(?:ssl)?password\s*=|^\w+://[^@?]*:[^@?]*@")
 
 
 class PostGisOptions(SpatialOptions):
@@ -90,7 +92,8 @@ class PostGis(Sender[PostGisOptions]):
         with _connected(options.connection) as connection:
             place = _place(connection, options.database_schema)
             write_tables(
-                connection, site, layers, schema=options.database_schema,
+                connection, site, layers, gone=_gone(source, layers),
+                schema=options.database_schema,
                 heights=options.heights, overwrite=options.overwrite, feedback=feedback,
             )  # fmt: skip
         report = report_of(site, layers, options.heights, flat_warnings(layers, options.heights))
@@ -100,6 +103,18 @@ class PostGis(Sender[PostGisOptions]):
             crs=report.crs, height_kind=report.height_kind, features=report.features,
             warnings=report.warnings, place=place,
         )  # fmt: skip
+
+
+def _gone(source: LayerSource, written: Sequence[Layer]) -> tuple[str, ...]:
+    """Layers asked for that have no features now, though an earlier export may have written them.
+
+    Of the site also those that its options leave out: they would be of another state of it.
+    """
+    from exports.site.site import LAYERS, SiteLayers
+
+    asked = LAYERS if source.kind == "site" else SiteLayers.names_of(source.layer)
+    names = {layer.name for layer in written}
+    return tuple(name for name in asked if name not in names)
 
 
 def _need_psycopg() -> None:

@@ -38,12 +38,18 @@ def write_tables(
     site: SiteLayers,
     layers: Sequence[Layer],
     *,
+    gone: Sequence[str] = (),
     schema: str,
     heights: Heights,
     overwrite: bool,
     feedback: Feedback,
 ) -> None:
     """Write layers to tables of a schema; the caller ends the transaction.
+
+    Parameters
+    ----------
+    gone
+        Names of layers without features now: their tables of an earlier export are removed.
 
     Raises
     ------
@@ -59,6 +65,9 @@ def write_tables(
         feedback.progress(number / len(layers), layer.name)
         _clear(connection, schema, layer.name, mark, overwrite=overwrite)
         _write_layer(connection, layer, (schema, home, srid), heights, mark, feedback)
+    for name in gone:
+        if _is_ours(connection, schema, name, mark):
+            _clear(connection, schema, name, mark, overwrite=overwrite)
     # what an earlier export of this project says of itself may always be replaced
     _clear(connection, schema, ABOUT, mark, overwrite=True)
     _write_about(connection, schema, site.metadata(), mark)
@@ -81,6 +90,21 @@ def _postgis_schema(connection: Connection) -> str:
     return str(row[0])
 
 
+def _found(connection: Connection, schema: str, table: str) -> tuple[str, str] | None:
+    """Kind and comment of a table or view; None if there is none."""
+    row = connection.execute(
+        "SELECT c.relkind, obj_description(c.oid, 'pg_class') FROM pg_class c "
+        "JOIN pg_namespace n ON n.oid = c.relnamespace WHERE n.nspname = %s AND c.relname = %s",
+        (schema, table),
+    ).fetchone()
+    return None if row is None else (row[0], row[1] or "")
+
+
+def _is_ours(connection: Connection, schema: str, table: str, mark: str) -> bool:
+    found = _found(connection, schema, table)
+    return found is not None and found[0] == "r" and found[1].startswith(mark)
+
+
 def _clear(connection: Connection, schema: str, table: str, mark: str, *, overwrite: bool) -> None:
     """Drop a table that an earlier export of this project made.
 
@@ -89,16 +113,10 @@ def _clear(connection: Connection, schema: str, table: str, mark: str, *, overwr
     ExportError
         If it was made by someone else, or may not be overwritten.
     """
-    row = connection.execute(
-        "SELECT c.relkind, obj_description(c.oid, 'pg_class') FROM pg_class c "
-        "JOIN pg_namespace n ON n.oid = c.relnamespace WHERE n.nspname = %s AND c.relname = %s",
-        (schema, table),
-    ).fetchone()
-    if row is None:
+    if _found(connection, schema, table) is None:
         return
-    kind, comment = row[0], row[1] or ""
     name = f"PostGIS: {schema}.{table}"
-    if kind != "r" or not comment.startswith(mark):
+    if not _is_ours(connection, schema, table, mark):
         raise ExportError(
             f"{name} is there and is not of an earlier export of this project; give another schema"
         )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from georef_gis.errors import ExportError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,11 +40,16 @@ def flat_warnings(layers: Sequence[Layer], heights: Heights) -> list[str]:
     """Which layers stay 2D although heights are asked for, and why."""
     if heights == "attributes":
         return []
-    return [
-        f"{layer.name} stays 2D: {int((~layer.solid).sum())} of its {len(layer)} features have no "
-        "measured height at every vertex"
+    left = [
+        f"{layer.name} ({int((~layer.solid).sum())} of {len(layer)})"
         for layer in layers
         if layer.geometry != "None" and not layer.solid.all()
+    ]
+    if not left:
+        return []
+    return [
+        "layers that stay 2D, as features of theirs have no measured height at every vertex: "
+        + ", ".join(left)
     ]
 
 
@@ -94,21 +102,43 @@ def write_table(
     ------
     OSError
         If it cannot be written; the toolbox says what to do.
+    ExportError
+        If a field cannot hold a value, which GDAL would leave out.
     """
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, GeometryError
 
-    try:
-        pyogrio.raw.write(
-            target,
-            geometry=wkb,
-            field_data=[column.values for column in columns],
-            field_mask=[column.missing for column in columns],
-            fields=list(names),
-            **how,
-        )
-    except (DataSourceError, DataLayerError, FeatureError, GeometryError, RuntimeError) as error:
-        raise refusal(error, target) from error
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        try:
+            pyogrio.raw.write(
+                target,
+                geometry=wkb,
+                field_data=[column.values for column in columns],
+                field_mask=[column.missing for column in columns],
+                fields=list(names),
+                **how,
+            )
+        except (
+            DataSourceError, DataLayerError, FeatureError, GeometryError, RuntimeError
+        ) as error:  # fmt: skip
+            raise refusal(error, target) from error
+    _check_told(told, str(how.get("layer", target.stem)))
+
+
+def _check_told(told: Sequence[warnings.WarningMessage], layer: str) -> None:
+    """Refuse a value that GDAL left out, and pass other warnings on.
+
+    They come out of a callback, in which an error would be lost.
+    """
+    for one in told:
+        what, left_out, _ = str(one.message).partition(" not successfully written")
+        if left_out:
+            raise ExportError(
+                f"{layer}: {what} is larger than the format holds; correct it in a GIS, or export "
+                "GeoPackage"
+            )
+        warnings.warn(one.message, one.category, stacklevel=3)
 
 
 def refusal(error: Exception, target: Path) -> OSError:

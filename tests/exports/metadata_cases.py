@@ -36,7 +36,9 @@ NS = {
     "xlink": "http://www.w3.org/1999/xlink",
 }
 # The tests that ask for it are skipped where the schemas of ISO 19139 are not at hand.
-SCHEMAS = "GEOREF_ISO_XSD"
+SCHEMAS, FGDC_SCHEMAS = "GEOREF_ISO_XSD", "GEOREF_FGDC_XSD"
+# Where an unpacked wheel of pycsw has those of ISO 19139
+_PYCSW = "pycsw/plugins/profiles/apiso/schemas/ogc"
 _XLINK = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema"
  xmlns="http://www.w3.org/1999/xlink" targetNamespace="http://www.w3.org/1999/xlink">{}
 <xs:attributeGroup name="simpleAttrs">{}</xs:attributeGroup></xs:schema>"""
@@ -185,5 +187,15 @@ def iso_schema() -> Any:
 
     parser = etree.XMLParser()
     parser.resolvers.add(Local())
+    if (base / _PYCSW).is_dir():
+        base /= _PYCSW
     main = base / "iso" / "19139" / "20070417" / "gmd" / "gmd.xsd"
     return etree.XMLSchema(etree.parse(str(main), parser))
+
+
+def fgdc_schema() -> Any:
+    """Schema of FGDC-STD-001-1998; skips where it is not at hand."""
+    given = os.environ.get(FGDC_SCHEMAS)
+    if not given:
+        pytest.skip(f"no schema of FGDC-STD-001-1998 at hand: {FGDC_SCHEMAS} names no folder")
+    return etree.XMLSchema(etree.parse(str(Path(given) / "fgdc-std-001-1998.xsd")))

@@ -21,7 +21,6 @@ from exports.site.columns import Column, Layer, Places
 from exports.site.schemas import Field
 from exports.site.site import SiteLayers
 from exports.tables.geojson import write_geojson
-from exports.tables.geopackage import write_geopackage
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import MapFrame, Origin, parse_crs
 from georef_gis.project import Project
@@ -295,23 +294,22 @@ def test_geometry_would_be_hidden_by_a_column_of_its_name_in_parquet(tmp_path) -
         cases.write("geoparquet", site, [layer], tmp_path / "out")
 
 
-def test_area_with_a_hole_is_told(tmp_path) -> None:
-    from exports.site.assets import what_is_lost
+@ALL
+def test_photos_without_a_place_are_told_in_every_format(
+    project, monkeypatch, tmp_path, name
+) -> None:
+    site = cases.make_site(tmp_path)
+    nowhere = replace(site.photos[1].photo, geotag=None)
+    lost = replace(site.photos[1], photo=nowhere, pose=None)
+    use(monkeypatch, replace(site, photos=(site.photos[0], lost, site.photos[2])))
+    told = export(project, name, tmp_path / f"out{FILES[name]}", layer="photos")
+    assert f"photos left out, as they have no position: {lost.photo.id}" in told
 
-    site = cases.format_site(tmp_path)
-    pierced = replace(site.assets[2], holes=np.array([1, 0]))
-    (told,) = what_is_lost((pierced,))
-    assert told == "areas written without their holes, which assets cannot have: area"
-    assert write_geopackage(replace(site, assets=(pierced,)), tmp_path / "s.gpkg").features
 
-
-def test_nul_in_a_text_does_not_end_it(tmp_path) -> None:
-    site = cases.format_site(tmp_path, names=("a\0b", "c"))
-    texts = site.layers["asset_points"].columns["name"].tolist()
-    assert texts == ["a\ufffdb", "c"]
-    write_geopackage(site, tmp_path / "s.gpkg", ("asset_points",))
-    _, _, _, fields = pyogrio.raw.read(tmp_path / "s.gpkg", layer="asset_points", columns=["name"])
-    assert fields[0].tolist() == texts
+@ALL
+def test_file_of_features_is_refused_with_what_converts_it(project, tmp_path, name) -> None:
+    with pytest.raises(ExportError, match=r"not files of others, which QGIS or ogr2ogr convert"):
+        export(project, name, tmp_path / f"out{FILES[name]}", layer="other.gpkg")
 
 
 @pytest.mark.parametrize("name", ["geojson", "csv"])
@@ -322,6 +320,16 @@ def test_place_where_the_crs_does_not_hold_is_told(tmp_path, name) -> None:
     assert not np.isfinite(layer.places.lonlat).all()
     with pytest.raises(ExportError, match="no longitude and latitude"):
         cases.write(name, replace(site, assets=(far,)), [layer], tmp_path / f"out{FILES[name]}")
+
+
+@pytest.mark.parametrize("name", ["geojson", "csv"])
+def test_height_of_no_earth_is_refused_and_not_cut_to_another(tmp_path, name) -> None:
+    site = cases.format_site(tmp_path)
+    x, y = site.assets[0].xy[0]
+    wrong = cases.table("asset_lines", [[[x, y, 1e300], [x + 1, y, 2.0]]], [cases.asset(1, "up")])
+    site = replace(site, assets=(wrong,))
+    with pytest.raises(ExportError, match=r"height of 1e\+300, which is none on Earth"):
+        cases.write(name, site, [site.layers["asset_lines"]], tmp_path / f"out{FILES[name]}")
 
 
 @ALL

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sqlite3
+import tomllib
 from contextlib import closing
+from importlib.resources import files
 
 import pyogrio
 import pytest
+from format_cases import format_site
 from lxml import etree
 from site_cases import NASTY, make_site
 
@@ -104,6 +107,24 @@ def test_styles_are_well_formed_and_default(gpkg):
         symbols = {e.get("name") for e in root.iter("symbol")}
         assert {e.get("symbol") for e in root.iter("rule")} <= symbols
     assert "layer_styles" in {row[0] for row in query(gpkg, "SELECT table_name FROM gpkg_contents")}
+
+
+def test_assets_are_styled_by_class_and_ellipses_do_not_hide_them(tmp_path):
+    write_geopackage(format_site(tmp_path), tmp_path / "s.gpkg")
+    rows = query(tmp_path / "s.gpkg", "SELECT f_table_name, styleQML FROM layer_styles")
+    styles = {name: etree.fromstring(qml.encode()) for name, qml in rows}
+    classes = files("georef_gis.data").joinpath("asset_classes.toml").read_text("utf-8")
+    wanted = {"asset_points": set(), "asset_lines": set(), "asset_polygons": set()}
+    for name, one in tomllib.loads(classes)["classes"].items():
+        wanted[f"asset_{one['geometry']}s"].add(name)
+    for layer, names in wanted.items():
+        found = {e.get("value"): e.get("symbol") for e in styles[layer].iter("category")}
+        # and one for what is of no known class
+        assert set(found) == names | {""}
+        assert set(found.values()) == {e.get("name") for e in styles[layer].iter("symbol")}
+    (colour,) = (e for e in styles["asset_ellipses"].iter("Option") if e.get("name") == "color")
+    # of 255
+    assert int(colour.get("value").split(",")[3]) < 60
 
 
 def test_without_styles(site, tmp_path):

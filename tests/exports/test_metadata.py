@@ -15,6 +15,7 @@ from metadata_cases import (
     STATEMENT,
     across,
     check_metadata,
+    fgdc_schema,
     iso_schema,
     make_project,
     read_xml,
@@ -26,11 +27,13 @@ from metadata_cases import (
 from owslib.iso import MD_Metadata
 from site_cases import make_frame, make_site
 
+from exports import EXPORTERS
 from exports.metadata.metadata import Metadata
+from exports.metadata.products import FOLDERS
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import parse_crs
 from georef_gis.project import Project
-from georef_gis.toolbox import Context
+from georef_gis.toolbox import Context, Sender
 
 WHO = {"organisation": "DOT & Söhne <GIS>", "contact": "=cmd|'/c calc'!A0",
        "email": "a@example.org", "licence": "CC-BY-4.0"}  # fmt: skip
@@ -258,6 +261,62 @@ def test_iso_files_are_valid_against_the_published_schema(tmp_path):
     for path in files:
         assert schema.validate(read_xml(path)), (path.name, schema.error_log)
     project.close()
+
+
+def test_fgdc_files_are_valid_against_the_published_schema(project):
+    schema = fgdc_schema()
+    export_csv(project, "=cmd & 'x' ü🚧.csv")
+    export_of_each_kind(project)
+    write_metadata(project, standard="fgdc")
+    files = sorted(project.products.glob("*.fgdc.xml"))
+    assert len(files) == 5
+    for path in files:
+        assert schema.validate(read_xml(path)), (path.name, schema.error_log)
+
+
+def export_of_each_kind(project: Project) -> None:
+    """Tiles, whose pixels no record tells; features; and a folder of files."""
+    for tool, name in (("export_mbtiles", "m.mbtiles"), ("export_geojson", "photos.geojson")):
+        (project.products / name).write_bytes(b"something")
+        record(project, tool, [project.products / name], summary={"crs": "EPSG:3857"})
+    (project.products / "site_shp").mkdir()
+    (project.products / "site_shp" / "photos.shp").write_bytes(b"something")
+    record(project, "export_shapefile", [project.products / "site_shp"])
+
+
+def test_resolution_of_fgdc_is_a_length_for_every_kind_of_product(project):
+    """The standard has no `Unknown` there, so the nominal spacing of coordinates stands in it."""
+    export_of_each_kind(project)
+    write_metadata(project, standard="fgdc")
+    roots = {path.name: read_xml(path) for path in project.products.glob("*.fgdc.xml")}
+    found = {
+        name.removesuffix(".fgdc.xml"): [
+            float(text) for tag in ("absres", "ordres") for text in texts(root, f".//{tag}")
+        ]
+        for name, root in roots.items()
+    }
+    # m: pixel of the mosaic, GSD of the mosaic the tiles are made of, 0.1 mm of vertices
+    assert found == {
+        "mosaic.tif": [pytest.approx(0.05, rel=1e-3)] * 2, "m.mbtiles": [0.05] * 2,
+        "photos.geojson": [1e-4] * 2, "site_shp": [1e-4] * 2,
+    }  # fmt: skip
+
+
+def test_fgdc_without_a_spacing_leaves_the_reference_out_and_names_the_crs(project):
+    for row in project.database.rows("run"):
+        project.database.update("run", row["fid"], summary={})
+    export_of_each_kind(project)
+    write_metadata(project, standard="fgdc")
+    root = read_xml(project.products / "m.mbtiles.fgdc.xml")
+    assert texts(root, ".//absres") == []
+    assert "EPSG:3857" in texts(root, ".//supplinf")[0]
+    assert out_of_order(root, FGDC_ORDER, strict=True) == []
+
+
+def test_folders_of_all_exporters_of_features_and_tiles_are_products():
+    folders = {f"export_{e.id}" for e in EXPORTERS if not e.suffix and not issubclass(e, Sender)}
+    # what only other programs read as a whole, and says itself what it is
+    assert folders - set(FOLDERS) == {"export_colmap", "export_stac"}
 
 
 def test_fgdc_holds_the_same_figures(project):

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import format_cases as cases
 import numpy as np
@@ -57,7 +58,8 @@ def send(monkeypatch, site, database: str, schema: str, feedback=None, **values)
         "exports.tables.postgis.chosen_layers", lambda source, options: (site, layers)
     )
     options = PostGisOptions(connection=database, database_schema=schema, **values)
-    return PostGis().send(None, options, feedback or CollectingFeedback())
+    source = SimpleNamespace(kind="site", layer="site")
+    return PostGis().send(source, options, feedback or CollectingFeedback())
 
 
 @pytest.mark.parametrize("crs", ["EPSG:6549", CUSTOM], ids=["code", "own CRS"])
@@ -128,6 +130,19 @@ def test_tables_are_replaced_only_when_asked(monkeypatch, site, database, schema
     fewer = replace(site, assets=site.assets[:1])
     send(monkeypatch, fewer, database, schema, overwrite=True)
     assert query(database, f"SELECT count(*) FROM {schema}.asset_points") == [(13,)]
+    # lines that the project no longer has would be taken for some of today
+    assert "asset_lines" not in tables(database, schema)
+
+
+def test_table_of_others_is_kept_where_the_project_has_no_such_layer(
+    monkeypatch, site, database, schema
+) -> None:
+    query(database, f"CREATE SCHEMA {schema}")
+    query(database, f"CREATE TABLE {schema}.asset_lines (mine text)")
+    fewer = replace(site, assets=site.assets[:1])
+    for _ in range(2):
+        send(monkeypatch, fewer, database, schema, overwrite=True)
+    assert {"asset_lines", "asset_points"} <= tables(database, schema)
 
 
 @pytest.mark.parametrize("making", [
@@ -208,6 +223,7 @@ def test_database_without_postgis_is_told(monkeypatch, site, database, schema) -
 @pytest.mark.parametrize("text", [
     "postgresql://me:s3cret@server/gis", "host=server password=s3cret", "PASSWORD = s3cret host=x",
     "postgresql://server/gis?user=me&password=s3cret", "host=x sslpassword='s3cret'",
+    "postgresql://me:a/s3cret@server/gis",
 ])  # fmt: skip
 def test_password_is_refused_and_not_repeated(text: str) -> None:
     with pytest.raises(InputError, match=r"~/.pgpass") as caught:

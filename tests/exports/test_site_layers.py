@@ -37,6 +37,13 @@ def test_time_is_utc_with_leap_seconds_taken_off(site):
     assert values(site, "photos", 1)["time_utc"] == "2026-05-01T12:00:02.000Z"
 
 
+def test_time_keeps_the_microseconds_that_a_sync_board_counts(site):
+    first = replace(site.photos[0].photo, time_gps=2.000_123)
+    exact = replace(site, photos=(replace(site.photos[0], photo=first), *site.photos[1:]))
+    assert values(exact, "photos")["time_utc"] == "2026-05-01T12:00:02.000123Z"
+    assert values(exact, "track")["start_utc"] == "2026-05-01T12:00:02.000Z"
+
+
 def test_nadir_photo_to_the_north_has_no_angles_but_convergence(site):
     v = values(site, "photos")
     assert [v["roll_deg"], v["pitch_deg"], v["tilt_deg"]] == pytest.approx([0, 0, 0], abs=1e-9)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
+import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -395,6 +397,22 @@ def test_second_export_replaces_the_first(project):
     assert set(items_of(collection)) == {"p1.jpg", "mosaic"}
     base = Path(collection.get_self_href()).parent
     assert len(list((base / "photos").iterdir())) == 1
+
+
+def test_thumbnails_are_made_side_by_side_and_kept_apart(project, monkeypatch):
+    both, calls = threading.Barrier(2, timeout=20.0), itertools.count()
+
+    def thumbnail(photo, side):
+        if next(calls) < 2:
+            both.wait()
+        return photo.id.encode()
+
+    monkeypatch.setattr("exports.kml.thumbnails.thumbnail", thumbnail)
+    collection, _ = export(project)
+    base = Path(collection.get_self_href()).parent
+    found = {path.read_bytes().decode(): path.parent.name for path in base.glob("photos/*/*.jpg")}
+    assert len(found) == 3
+    assert found["p1.jpg"] == "p1.jpg"
 
 
 def test_documents_hold_finite_numbers_only(tmp_path):
