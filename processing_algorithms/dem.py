@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +13,12 @@ from georef_gis.errors import CrsError, InputError
 from georef_gis.frames import Array
 from georef_gis.geodesy import (
     CRS,
+    Datum,
     HeightKind,
     MapFrame,
+    VerticalPart,
     geoid_undulation,
+    height_unit,
     horizontal_crs,
     metres_per_unit,
     parse_crs,
@@ -23,7 +26,7 @@ from georef_gis.geodesy import (
 )
 from georef_gis.model.terrain import DemTerrain, dem_terrain
 from georef_gis.project import Project
-from georef_gis.rasters.reading import GridHeader, read_grid, read_grid_header
+from georef_gis.rasters.reading import GridHeader, Window, read_grid, read_grid_header
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
 if TYPE_CHECKING:
@@ -36,6 +39,7 @@ DEM_SIGMA = 1.0
 # m; how far the ground may lie from take-off level, and tags be off, in telling a DEM's unit
 UNIT_SLACK = 15.0
 _METRES = {"m": 1.0, "ft": INTERNATIONAL_FOOT, "us-ft": US_SURVEY_FOOT}
+_NAD83 = Datum(name="NAD83(2011)", epoch=2010.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,7 +47,8 @@ class Dem:
     """A DEM around the photos as it is stored.
 
     `values` (rows, cols) in the file's own unit, NaN where there is none; `transform` from the
-    outer corner of the first cell to the map of `frame`; `unit` in m, None if nothing states it.
+    outer corner of the first cell to the map of `frame`; `unit` in m, None if nothing states it;
+    `doubt` of its datum and geoid.
     """
 
     project: Project
@@ -55,6 +60,7 @@ class Dem:
     unit: float | None
     # m per unit of the CRS at the photos; degrees included
     cell_unit: float
+    doubt: str = ""
 
     def terrain(self, unit: float) -> DemTerrain:
         """Ground as ellipsoidal heights, where the values count in `unit`, m."""
@@ -91,7 +97,7 @@ class Dem:
     def _undulation(self, geo: Array) -> Array:
         """Height of the geoid that the user states, else of that of the CRS, m; shape (...)."""
         said = self.project.settings.gnss
-        part = vertical_part(self.crs)
+        part = self._vertical()
         stated = part is None or "geoid" in said.model_fields_set
         geoid = said.geoid if stated or part is None else part.geoid
         try:
@@ -105,6 +111,23 @@ class Dem:
                 f"its heights are above {geoid}: {error}; or take EGM96 in its place, which is "
                 'off by up to 1 m or so, by [gnss] geoid = "egm96"',
                 source=self.path.name,
+            ) from error
+
+    def _vertical(self) -> VerticalPart | None:
+        """Vertical part of the CRS; None for one of no known geoid whose kind the user states."""
+        try:
+            return vertical_part(self.crs)
+        except CrsError as error:
+            up = self.crs.sub_crs_list[-1]
+            if up.axis_info[0].direction != "up":
+                raise
+            if self.project.settings.ground.dem_height_kind != "auto":
+                return None
+            raise CrsError(
+                f"heights of '{up.name}' are of no geoid that is known; say "
+                'what they are above by [ground] dem_height_kind = "orthometric" and [gnss] geoid, '
+                "and their unit by dem_unit",
+                source=str(self.path),
             ) from error
 
 
@@ -127,23 +150,18 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> Dem:
     header = read_grid_header(path)
     if not header.crs_wkt:
         raise CrsError("has no CRS; add a .prj beside it", source=str(path), field="CRS")
-    a, b, left, d, e, top = header.transform
+    a, b, _, d, e, _ = header.transform
     if b or d or a <= 0 or e >= 0:
         raise InputError(
             "is not north-up; warp it to a north-up raster (e.g. gdalwarp)", source=str(path)
         )
     crs = parse_crs(header.crs_wkt)
-    own = MapFrame(frame.origin, horizontal_crs(crs), gnss_datum=frame.gnss_datum, crs_datum=None)
-    low, high = positions_enu.min(axis=0) - DEM_MARGIN, positions_enu.max(axis=0) + DEM_MARGIN
-    corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
-    p = own.map_from_enu(corners)[:, :2]
-    cols = np.clip((p[:, 0] - left) / a, 0, header.width)
-    rows = np.clip((p[:, 1] - top) / e, 0, header.height)
-    c0, r0 = int(np.floor(cols.min())), int(np.floor(rows.min()))
-    width, height = int(np.ceil(cols.max())) - c0, int(np.ceil(rows.max())) - r0
-    if width < 1 or height < 1:
+    own, doubt = frame_of_dem(frame, horizontal_crs(crs), path)
+    window = _window(own, header, positions_enu)
+    if window[2] < 1 or window[3] < 1:
         raise _elsewhere(path, own, header, positions_enu.mean(axis=0))
-    raster = read_grid(path, window=(c0, r0, width, height))
+    raster = read_grid(path, window=window)
+    doubts = [line for line in (doubt, _geoid_doubt(project, frame, crs, path)) if line]
     return Dem(
         project=project,
         path=path,
@@ -153,6 +171,53 @@ def read_dem(project: Project, frame: MapFrame, positions_enu: Array) -> Dem:
         transform=raster.transform,
         unit=_stated_unit(project, header.unit, crs, path),
         cell_unit=_cell_scale(own, positions_enu.mean(axis=0)),
+        doubt="; ".join(doubts),
+    )
+
+
+def _window(own: MapFrame, header: GridHeader, positions_enu: Array) -> Window:
+    """Columns and rows of a DEM around the photos; none where it does not lie under them."""
+    a, _, left, _, e, top = header.transform
+    low, high = positions_enu.min(axis=0) - DEM_MARGIN, positions_enu.max(axis=0) + DEM_MARGIN
+    corners = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    p = own.map_from_enu(corners)[:, :2]
+    cols = np.clip((p[:, 0] - left) / a, 0, header.width)
+    rows = np.clip((p[:, 1] - top) / e, 0, header.height)
+    c0, r0 = int(np.floor(cols.min())), int(np.floor(rows.min()))
+    return c0, r0, int(np.ceil(cols.max())) - c0, int(np.ceil(rows.max())) - r0
+
+
+def _geoid_doubt(project: Project, frame: MapFrame, crs: CRS, path: Path) -> str:
+    """That a DEM without a height system is laid above another geoid than the project promises."""
+    part, gnss = frame.vertical, project.settings.gnss
+    if part is None or part.geoid == gnss.geoid or "geoid" in gnss.model_fields_set:
+        return ""
+    told = crs.is_compound or len(crs.axis_info) == 3
+    if told or project.settings.ground.dem_height_kind == "ellipsoidal":
+        return ""
+    return (
+        f"{path.name} does not say what its heights are above: taken as {gnss.geoid}, while the "
+        f"project's CRS promises {part.name}, up to 1 m apart: state [gnss] geoid, such as "
+        f'"{part.geoid}"'
+    )
+
+
+def frame_of_dem(frame: MapFrame, crs: CRS, path: Path) -> tuple[MapFrame, str]:
+    """Frame of a DEM's map, and a doubt where its datum is taken for another.
+
+    Most DEMs of the United States say NAD83 and no realisation; a metre is less than a cell, and
+    not worth the four grids of NADCON 5 that part it from NAD83(2011).
+    """
+    try:
+        return MapFrame(frame.origin, crs, gnss_datum=frame.gnss_datum), ""
+    except CrsError as error:
+        base = crs.geodetic_crs
+        if base is None or not base.name.startswith("NAD83"):
+            raise CrsError(str(error), source=path.name) from error
+    taken = MapFrame(frame.origin, crs, gnss_datum=frame.gnss_datum, crs_datum=_NAD83)
+    return taken, (
+        f"{path.name}: its datum {base.name} is taken as {_NAD83.name}, within a metre or so east "
+        "and north, as the grids that part them are not installed (`georef grids`)"
     )
 
 
@@ -191,8 +256,8 @@ def _cell_scale(frame: MapFrame, p_enu: Array) -> float:
 def _stated_unit(project: Project, band: str, crs: CRS, path: Path) -> float | None:
     """Metres per unit by the user, the band, the CRS's vertical part; None if none of them says.
 
-    GDAL fills a band's unit from the vertical CRS: it counts once. A CRS that counts in feet and
-    has no vertical part says nothing of the heights.
+    GDAL fills a band's unit from the vertical CRS: it counts once. A CRS without a vertical part
+    says nothing of the heights.
     """
     said = project.settings.ground.dem_unit
     if said != "auto":
@@ -203,26 +268,19 @@ def _stated_unit(project: Project, band: str, crs: CRS, path: Path) -> float | N
         return float(crs.sub_crs_list[1].axis_info[0].unit_conversion_factor)
     if len(crs.axis_info) == 3:
         return float(crs.axis_info[2].unit_conversion_factor)
-    if crs.is_projected and abs(metres_per_unit(crs) - 1.0) > 1e-9:
-        return None
-    return 1.0
+    return None
 
 
 def _unit(name: str, path: Path) -> float:
-    """Metres per unit of a band, by the name that GDAL gives."""
-    known = {
-        "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0,
-        "ft": INTERNATIONAL_FOOT, "foot": INTERNATIONAL_FOOT, "feet": INTERNATIONAL_FOOT,
-        "us survey foot": US_SURVEY_FOOT, "us-ft": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT,
-    }  # fmt: skip
-    try:
-        return known[name.strip().lower()]
-    except KeyError:
+    """Metres per unit of a band, by the name that its file gives."""
+    unit = height_unit(name)
+    if unit is None:
         raise InputError(
             f"unit '{name}' of the heights is not known; set [ground] dem_unit",
             source=str(path),
             field="band unit",
-        ) from None
+        )
+    return unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,16 +295,33 @@ class UnitChoice:
 def choose_unit(dem: Dem, photos: Sequence[Photo]) -> UnitChoice:
     """Unit of a DEM's heights: as stated, else the one that the heights in the tags fit.
 
-    Where they fit both, the unit of the CRS, as other programs have it, with a doubt.
+    Where they fit both, the unit of the CRS, as other programs have it; with a doubt if that is
+    feet. Doubts of the DEM itself come with it.
     """
-    if dem.unit is not None:
-        return UnitChoice(unit=dem.unit)
-    own = metres_per_unit(dem.frame.horizontal)
-    name = str(dem.frame.horizontal.axis_info[0].unit_name)
-    what = f"{dem.path.name} states no unit of its heights, and its CRS counts in {name}"
+    choice = UnitChoice(unit=dem.unit) if dem.unit is not None else _found_unit(dem, photos)
+    doubts = [doubt for doubt in (dem.doubt, choice.doubt) if doubt]
+    return replace(choice, doubt="; ".join(doubts))
+
+
+def _found_unit(dem: Dem, photos: Sequence[Photo]) -> UnitChoice:
+    """Unit of heights that no one states."""
+    across = dem.frame.horizontal
+    feet = across.is_projected and abs(metres_per_unit(across) - 1.0) > 1e-9
+    own = metres_per_unit(across) if feet else US_SURVEY_FOOT
+    name = str(across.axis_info[0].unit_name) if feet else "US survey foot"
+    what = f"{dem.path.name} states no unit of its heights"
     flown = _Flown(dem, photos)
     as_metres, as_own = flown.above(1.0), flown.above(own)
     fits = [flown.fits(as_metres, as_own), flown.fits(as_own, as_metres)]
+    if not feet:
+        if not fits[1]:
+            return UnitChoice(unit=1.0)
+        return UnitChoice(
+            unit=own,
+            doubt=f"{what}: taken as feet, by which the photos are {as_own:.0f} m above the "
+            f"ground ({as_metres:.0f} m if they are metres): state them in [ground] dem_unit",
+        )
+    what += f", and its CRS counts in {name}"
     if any(fits):
         unit, text, above = (1.0, "metres", as_metres) if fits[0] else (own, name, as_own)
         told = f"{what}: taken as {text}, by which the photos are {above:.0f} m above the ground"

@@ -28,7 +28,7 @@ from georef_gis.geodesy.reference_systems import (
     same_crs,
     utm_crs,
 )
-from georef_gis.geodesy.vertical import VerticalPart, vertical_part
+from georef_gis.geodesy.vertical import VerticalPart, height_unit, navd88_code, vertical_part
 
 __all__ = [
     "CRS",
@@ -46,10 +46,12 @@ __all__ = [
     "ecef_from_geo",
     "geo_from_ecef",
     "geoid_undulation",
+    "height_unit",
     "horizontal_crs",
     "map_crs",
     "meridian_radius",
     "metres_per_unit",
+    "navd88_code",
     "parse_crs",
     "prime_vertical_radius",
     "same_crs",

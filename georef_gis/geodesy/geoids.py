@@ -15,12 +15,13 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import Transformer
+from pyproj.exceptions import ProjError
 
 from georef_gis.errors import CrsError, InputError
 from georef_gis.frames import Array
 from georef_gis.geodesy.grid_files import examine_grid
 from georef_gis.geodesy.grids_folder import find_grid, how_to_get, made_with_grids
-from georef_gis.geodesy.reference_systems import Datum, transformer_between
+from georef_gis.geodesy.reference_systems import Datum, epoch_between, transformer_between
 
 _FILE = re.compile(r"[\w.+-]+\.(tif|gtx)", re.ASCII)
 # west, south, east, north of the whole Earth, deg
@@ -112,7 +113,7 @@ def _rise(lat: Array, lon: Array, source: Datum, target: Datum) -> Array:
     if not (source.is_known and target.is_known) or source.name == target.name:
         return np.zeros(lat.shape)
     step = transformer_between(source.geographic_3d(), target.geographic_3d())
-    when = np.full(lat.shape, source.epoch or target.epoch or 2010.0)
+    when = np.full(lat.shape, epoch_between(source, target))
     h = step.transform(np.degrees(lon), np.degrees(lat), np.zeros(lat.shape), when)[2]
     return np.asarray(h, dtype=np.float64)
 
@@ -173,7 +174,11 @@ def _shifted(grid: str, lat: Array, lon: Array) -> Array:
     """Values of a grid at places (n,), deg -> m; NaN beyond it."""
     path = find_grid(grid)
     stamp = (str(path), path.stat().st_mtime_ns) if path is not None else None
-    h = _shift(grid, stamp).transform(lon, lat, np.zeros(lat.shape))[2]
+    try:
+        h = _shift(grid, stamp).transform(lon, lat, np.zeros(lat.shape))[2]
+    except ProjError:
+        # It says of a file that is no grid what it says of none; the caller looks into it.
+        return np.full(lat.shape, np.nan)
     return np.where(np.isfinite(h), h, np.nan)
 
 

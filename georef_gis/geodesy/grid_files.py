@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import shutil
 import struct
 import tempfile
@@ -32,6 +33,10 @@ Box = tuple[float, float, float, float]
 _LATTICE = 9
 # deg; a place on the very rim may fall off by rounding
 _INSIDE = 1e-6
+# m; the geoid lies 107 m below to 86 m above the ellipsoid, a DEM in degrees looks like its grid
+_FARTHEST = 130.0
+# a name that can be told to PROJ and written in project.toml
+_NAME = re.compile(r"[\w.+-]+\.(tif|gtx|gsb)", re.ASCII)
 _GTX_HEADER = struct.Struct(">4d2i")
 
 
@@ -117,8 +122,15 @@ def add_grid(path: Path) -> GridFile:
         If it is no good, or the folder cannot be written.
     """
     if not path.is_file():
-        raise InputError("no such file", source=str(path))
+        what = "is a folder; give the files in it" if path.is_dir() else "no such file"
+        raise InputError(what, source=str(path))
     found = examine_grid(path)
+    if not _NAME.fullmatch(found.name):
+        raise InputError(
+            "its name cannot be told to PROJ, which knows a grid by it: give the file its own "
+            "again, of letters, digits and . _ + - (a browser puts (1) behind it)",
+            source=str(path),
+        )
     return GridFile(path=_placed(path, found.name), kind=found.kind, area=found.area)
 
 
@@ -305,5 +317,13 @@ def _try_in_proj(grid: GridFile) -> None:
         # Windows cannot delete a file that is still open.
         del shift
     _read_all(grid)
-    if not np.any(np.isfinite(moved[2]) & np.isfinite(moved[0])):
+    known = np.isfinite(moved[2]) & np.isfinite(moved[0])
+    if not np.any(known):
         raise InputError("PROJ finds no value in it; get it anew", source=str(grid.path))
+    farthest = float(np.max(np.abs(moved[2][known])))
+    if grid.kind == "heights" and farthest > _FARTHEST:
+        raise InputError(
+            f"holds {farthest:.0f} m, and no geoid lies farther than {_FARTHEST:.0f} m from the "
+            "ellipsoid; is it a DEM?",
+            source=str(grid.path),
+        )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -38,9 +39,7 @@ def _folder_of_proj() -> Path:
 
 def search_folders() -> Iterator[Path]:
     """Folders in which PROJ looks for grids, ours first."""
-    folders = [grids_folder(), _folder_of_proj()]
-    folders += [Path(part) for part in datadir.get_data_dir().split(os.pathsep)]
-    yield from dict.fromkeys(folders)
+    yield from dict.fromkeys([grids_folder(), *map(Path, datadir.get_data_dir().split(os.pathsep))])
 
 
 def find_grid(name: str) -> Path | None:
@@ -69,11 +68,34 @@ def use_grids(folder: Path | None = None) -> None:
             field="grids",
         )
     os.environ[_OF_PROJ] = name
-    # proj.db must stay that of the PROJ at work: its own folder remains the first.
-    first, *others = datadir.get_data_dir().split(os.pathsep)
-    others = [other for other in others if other != name]
-    datadir.set_data_dir(os.pathsep.join([first, name, *others]))
+    # proj.db must stay that of the PROJ at work: its own folder remains the first. Ours is the last
+    # and no other between: pyproj hands PROJ a list of which only the last name is sure to be
+    # there still when it is read, and a folder of before would be taken for ours.
+    first = datadir.get_data_dir().split(os.pathsep)[0]
+    datadir.set_data_dir(os.pathsep.join([first, name]))
     forget_grids()
+
+
+@contextmanager
+def grids_kept() -> Iterator[None]:
+    """Have the folder of before again afterwards, whatever projects are opened in between.
+
+    One that names a folder of grids leaves it to all that comes after in this process, and to the
+    processes that are started from it: to those of other projects too.
+    """
+    names = (ENVIRONMENT, _OF_PROJ)
+    before = {name: os.environ.get(name) for name in names}
+    folders = datadir.get_data_dir()
+    try:
+        yield
+    finally:
+        if any(os.environ.get(name) != value for name, value in before.items()):
+            for name, value in before.items():
+                os.environ.pop(name, None)
+                if value is not None:
+                    os.environ[name] = value
+            datadir.set_data_dir(folders)
+            forget_grids()
 
 
 def drop_foreign_databases() -> None:

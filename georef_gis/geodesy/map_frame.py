@@ -19,6 +19,7 @@ from georef_gis.geodesy.reference_systems import (
     Datum,
     Site,
     Transformation,
+    epoch_between,
     horizontal_crs,
     is_nameless,
     metres_per_unit,
@@ -83,13 +84,14 @@ class MapFrame:
         if not (a.is_known and b.is_known):
             return None
         source, target = a.geographic_3d(), b.geographic_3d()
-        step = transformer_between(source, target, self._site(_FINE))
-        if a.name != b.name and a.epoch is None:
+        try:
+            step = transformer_between(source, target, self._site(_FINE))
+        except CrsError as error:
             raise CrsError(
-                f"'{a}' and '{b}' move against each other: state the epoch of the positions, "
-                f"e.g. {a.name}@2026.4",
-                field="gnss.datum",
-            )
+                f"{error}; or, if its coordinates are {a.name} under an older name, say so by "
+                f'datum_output = "{a}" in [project], of control by datum in [control]'
+            ) from error
+        self._epoch = epoch_between(a, b)
         return step
 
     def _site(self, slack: float) -> Site:
@@ -117,7 +119,7 @@ class MapFrame:
         geo = np.asarray(p_geo, dtype=np.float64)
         x, y, h = np.degrees(geo[..., 1]), np.degrees(geo[..., 0]), geo[..., 2]
         if self._datum_step:
-            t = np.full_like(x, self.gnss_datum.epoch or self.crs_datum.epoch or 2010.0)
+            t = np.full_like(x, self._epoch)
             x, y, h, _ = self._datum_step.transform(x, y, h, t)
         e, n = self._project.transform(x, y)
         return np.stack([e, n, h], axis=-1)
@@ -128,7 +130,7 @@ class MapFrame:
         x, y = self._project.transform(p[..., 0], p[..., 1], direction="INVERSE")
         h = p[..., 2]
         if self._datum_step:
-            t = np.full_like(h, self.gnss_datum.epoch or self.crs_datum.epoch or 2010.0)
+            t = np.full_like(h, self._epoch)
             x, y, h, _ = self._datum_step.transform(x, y, h, t, direction="INVERSE")
         # PROJ says inf where a place has no coordinates.
         geo = np.stack([np.radians(y), np.radians(x), h], axis=-1)

@@ -36,7 +36,8 @@ def parse_crs(text: str) -> CRS:
     CrsError
         If PROJ does not know it.
     """
-    base, ground = split_ground(text)
+    # Notepad puts a byte order mark before a .prj.
+    base, ground = split_ground(text.removeprefix("\ufeff"))
     try:
         crs = CRS.from_user_input(base.strip())
     except _PyprojCrsError as error:

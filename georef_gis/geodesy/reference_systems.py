@@ -22,8 +22,17 @@ from georef_gis.geodesy.grids_folder import how_to_get, made_with_grids
 
 # m, one sigma; what is at stake when a position's datum realisation or epoch is unknown
 UNKNOWN_DATUM_SIGMA = 2.0
+# years within which plates move by 1 cm or so
+_AT_ONCE = 0.5
 # m, of the semi-major axis of a county's own ellipsoid: above it lies no road
 _MOST_GROWN = 6000.0
+# Frames of the orbits that PPP and OPUS work with: those of the ITRF to some mm, and PROJ, which
+# has their names, knows no way from them.
+_ITRF_OF = {
+    "igs20": "ITRF2020", "igb20": "ITRF2020", "igs14": "ITRF2014", "igb14": "ITRF2014",
+    "igs08": "ITRF2008", "igb08": "ITRF2008", "igs05": "ITRF2005", "igs00": "ITRF2000",
+    "igb00": "ITRF2000",
+}  # fmt: skip
 
 
 def same_crs(first_wkt: str, second_wkt: str) -> bool:
@@ -84,15 +93,27 @@ class Datum:
         return self.name != "unknown"
 
     def geographic_3d(self) -> CRS:
-        """Geographic 3D CRS of the realisation."""
+        """Geographic 3D CRS of the realisation; of the IGS that of its ITRF."""
         try:
-            return _realisation(self.name)
+            found = _realisation(self.name)
         except _PyprojCrsError as error:
-            raise CrsError(
-                f"'{self.name}' is not a realisation that PROJ knows; write e.g. NAD83(2011), "
-                "ITRF2020, WGS 84 (G2139) or unknown",
-                field="datum",
-            ) from error
+            raise self._no_realisation("is not a realisation that PROJ knows") from error
+        if not found.is_geographic:
+            # A map's easting would go on as a longitude.
+            raise self._no_realisation(f"is '{found.name}', no datum of positions")
+        return found
+
+    def _no_realisation(self, what: str) -> CrsError:
+        return CrsError(
+            f"'{self.name}' {what}; write e.g. NAD83(2011), ITRF2020, WGS 84 (G2139) or unknown",
+            field="datum",
+        )
+
+    @property
+    def moves(self) -> bool:
+        """Whether coordinates of fixed places change by cm a year, so that an epoch is needed."""
+        frame = self.geographic_3d().datum
+        return frame is not None and "dynamic" in frame.type_name.lower()
 
     def __str__(self) -> str:
         """As it is written in project.toml."""
@@ -102,7 +123,36 @@ class Datum:
 @functools.lru_cache(maxsize=32)
 def _realisation(name: str) -> CRS:
     """Geographic 3D CRS of a name; PROJ takes 20 ms to find one."""
-    return CRS.from_user_input(name).to_3d()
+    return CRS.from_user_input(_ITRF_OF.get(name.lower(), name)).to_3d()
+
+
+def epoch_between(first: Datum, second: Datum) -> float:
+    """Decimal year at which coordinates of one known realisation become those of the other.
+
+    It is that of the one that moves, whichever end it stands at: coordinates of NAD83(2011) hold
+    for a plate, and 2010.0 is the epoch of its definition.
+
+    Raises
+    ------
+    CrsError
+        If that epoch is not stated, or both move and lie years apart.
+    """
+    moving = [datum for datum in (first, second) if datum.moves]
+    epochs = [datum.epoch for datum in moving if datum.epoch is not None]
+    if moving and not epochs and first.name != second.name:
+        name = moving[0].name
+        raise CrsError(
+            f"'{first}' and '{second}' move against each other: state the epoch of {name}, "
+            f"e.g. {name}@2026.4",
+            field="datum",
+        )
+    if len(epochs) == 2 and abs(epochs[0] - epochs[1]) > _AT_ONCE:
+        raise CrsError(
+            f"between '{first}' and '{second}' a place moves by cm a year, and by how much is not "
+            "known here: bring both to one epoch, or to NAD83(2011)",
+            field="datum",
+        )
+    return epochs[0] if epochs else first.epoch or second.epoch or 2010.0
 
 
 def realisation_of(crs: CRS) -> Datum:
@@ -248,10 +298,14 @@ def _group(source: CRS, target: CRS, site: Site | None) -> TransformerGroup:
     with warnings.catch_warnings():
         # "Best transformation is not available": it is looked after here.
         warnings.simplefilter("ignore", UserWarning)
-        return TransformerGroup(
-            source, target, always_xy=True, allow_ballpark=False,
-            area_of_interest=None if site is None else site.area,  # type: ignore[arg-type]
-        )  # fmt: skip
+        try:
+            return TransformerGroup(
+                source, target, always_xy=True, allow_ballpark=False,
+                area_of_interest=None if site is None else site.area,  # type: ignore[arg-type]
+            )  # fmt: skip
+        except IndexError as error:
+            # pyproj's word for none at all between two frames that move.
+            raise _not_installed(source, target, ()) from error
 
 
 def _missing(operation: Any) -> tuple[str, ...]:

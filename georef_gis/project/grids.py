@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 from georef_gis.errors import CrsError, GeorefError, InputError
@@ -21,7 +23,7 @@ from georef_gis.geodesy.grid_files import (
     installed_grids,
     remove_grid,
 )
-from georef_gis.geodesy.grids_folder import find_grid, grids_folder, how_to_get
+from georef_gis.geodesy.grids_folder import find_grid, grids_folder, grids_kept, how_to_get
 from georef_gis.geodesy.reference_systems import Site, lacking_grids, realisation_of
 from georef_gis.project.project import DATABASE_FILE, Project
 
@@ -34,6 +36,7 @@ __all__ = [
     "examine_grid",
     "find_grid",
     "grids_folder",
+    "grids_kept",
     "how_to_get",
     "installed_grids",
     "needs_of",
@@ -42,6 +45,10 @@ __all__ = [
     "place_of",
     "remove_grid",
 ]
+
+
+# value of a datum that is that of the CRS
+_AUTO = "auto"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +97,7 @@ def _crs_of(project: Project, text: str | None, *, map_only: bool = True) -> CRS
         return None
     if text.lower().endswith((".wkt", ".prj")):
         try:
-            text = project.path(text).read_text("utf-8")
+            text = project.path(text).read_text("utf-8-sig")
         except (OSError, UnicodeDecodeError):
             return None
     try:
@@ -101,11 +108,11 @@ def _crs_of(project: Project, text: str | None, *, map_only: bool = True) -> CRS
 
 def _of_geoids(project: Project, place: tuple[float, float] | None) -> Iterator[Need]:
     """Grids of the geoids that settings name, and of those that heights of a CRS are above."""
-    settings = project.settings
+    settings, control = project.settings, _control(project)
     wanted = {settings.gnss.geoid: "[gnss] geoid"}
-    if settings.control.geoid is not None:
-        wanted.setdefault(settings.control.geoid, "[control] geoid")
-    for section, text in (("project", settings.project.crs), ("control", settings.control.crs)):
+    if geoid := control.get("geoid"):
+        wanted.setdefault(geoid.lower(), "[control] geoid")
+    for section, text in (("project", settings.project.crs), ("control", control.get("crs"))):
         crs = _crs_of(project, text, map_only=section == "project")
         try:
             part = None if crs is None else vertical_part(crs)
@@ -118,25 +125,46 @@ def _of_geoids(project: Project, place: tuple[float, float] | None) -> Iterator[
             yield Need(name=name, reason=f"{reason}, geoid {geoid}")
 
 
+def _control(project: Project) -> dict[str, str]:
+    """crs, datum and geoid of the control: of the head of its file, else of [control]."""
+    given = project.settings.control
+    said = {"crs": given.crs, "geoid": given.geoid}
+    found = {key: value for key, value in said.items() if value}
+    with suppress(OSError, UnicodeDecodeError):
+        if given.file is not None:
+            with project.path(given.file).open(encoding="utf-8-sig") as stream:
+                head = takewhile(lambda line: line.startswith("#"), stream)
+                pairs = (line.lstrip("# ").partition(":") for line in head)
+                found |= {key.strip().lower(): value.strip() for key, _, value in pairs}
+    return found if given.datum == _AUTO else found | {"datum": given.datum}
+
+
 def _of_datums(project: Project, place: tuple[float, float] | None) -> Iterator[Need]:
-    """Grids on the way from the datum of the positions to that of the map."""
-    settings = project.settings
-    crs = _crs_of(project, settings.project.crs)
-    if crs is None or place is None:
+    """Grids on the way from the datum of the positions to those of the map and of control."""
+    settings, control = project.settings, _control(project)
+    if place is None:
         return
-    output = settings.project.datum_output
-    try:
-        gnss = Datum.parse(settings.gnss.datum)
-        to = realisation_of(horizontal_crs(crs)) if output == "auto" else Datum.parse(output)
-        if not (gnss.is_known and to.is_known):
-            return
-        site = Site(lat=round(math.degrees(place[0]), 1), lon=round(math.degrees(place[1]), 1),
-                    slack=0.25)  # fmt: skip
-        names = lacking_grids(gnss.geographic_3d(), to.geographic_3d(), site)
-    except GeorefError:
-        return
-    for name in names:
-        yield Need(name=name, reason=f"from {gnss} to {to}")
+    ends = [(settings.project.crs, settings.project.datum_output)]
+    if settings.control.file is not None:
+        ends.append((control.get("crs") or settings.project.crs, control.get("datum", _AUTO)))
+    site = Site(lat=round(math.degrees(place[0]), 1), lon=round(math.degrees(place[1]), 1),
+                slack=0.25)  # fmt: skip
+    for text, datum in ends:
+        crs = _crs_of(project, text, map_only=False)
+        try:
+            gnss = Datum.parse(settings.gnss.datum)
+            to = Datum.parse(datum) if datum != _AUTO or crs is None else _realisation(crs)
+            if not (gnss.is_known and to.is_known):
+                continue
+            names = lacking_grids(gnss.geographic_3d(), to.geographic_3d(), site)
+        except GeorefError:
+            continue
+        for name in names:
+            yield Need(name=name, reason=f"from {gnss} to {to}")
+
+
+def _realisation(crs: CRS) -> Datum:
+    return realisation_of(horizontal_crs(crs))
 
 
 def open_or_none(folder: Path) -> Project | None:

@@ -88,18 +88,19 @@ def _without_tags(context: Context, frame: MapFrame, feedback: Feedback) -> Resu
     from georef_gis.errors import MissingMetadataError
     from georef_gis.model.terrain import FlatTerrain, Terrain
     from georef_gis.orient.heights import SIGMA_FLAT_GROUND
-    from processing_algorithms.dem import read_dem
+    from processing_algorithms.dem import choose_unit, read_dem
     from processing_algorithms.site import ground_facts, stated_ground_height
 
     project = context.require_project()
     ground, database = project.settings.ground, project.database
     stated = stated_ground_height(project)
-    facts = None
+    facts, doubts = None, ["no photo has a position in its tags: poses come from the logs alone"]
     terrain: Terrain
     if ground.dem is not None:
         dem = read_dem(project, frame, np.zeros((1, 3)))
-        unit = dem.unit or 1.0
-        path = project.path(ground.dem)
+        choice = choose_unit(dem, [])
+        doubts += [choice.doubt] if choice.doubt else []
+        path, unit = project.path(ground.dem), choice.unit
         facts = {**ground_facts(dem.terrain(unit), "DEM", path), "dem_unit_m": unit}
     elif stated is not None:
         height = stated.ellipsoidal(frame.origin.lat, frame.origin.lon)
@@ -113,12 +114,12 @@ def _without_tags(context: Context, frame: MapFrame, feedback: Feedback) -> Resu
             source="project.toml",
             field="ground",
         )
-    line = "no photo has a position in its tags: poses come from the logs alone"
-    feedback.warn(line)
+    for line in doubts:
+        feedback.warn(line)
     with database.transaction():
         database.replace_rows("pose", [], where={"kind": "tags"})
         database.set_meta(ground=facts)
-    return Result(summary={"oriented": 0, "doubts": [line]})
+    return Result(summary={"oriented": 0, "doubts": doubts})
 
 
 def _in_time(photos: list[Photo]) -> list[Photo]:

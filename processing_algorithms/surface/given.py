@@ -11,7 +11,15 @@ import numpy as np
 from georef_gis.ellipsoid import WGS84_A
 from georef_gis.errors import CrsError, InputError
 from georef_gis.frames import Array
-from georef_gis.geodesy import CRS, MapFrame, horizontal_crs, metres_per_unit, parse_crs
+from georef_gis.geodesy import (
+    CRS,
+    MapFrame,
+    height_unit,
+    horizontal_crs,
+    metres_per_unit,
+    parse_crs,
+    vertical_part,
+)
 from georef_gis.measure.surface.common_errors import CommonErrors
 from georef_gis.measure.surface.field import GroundField, HeightField
 from georef_gis.measure.surface.raster import (
@@ -25,6 +33,7 @@ from georef_gis.model.terrain import DemTerrain, dem_terrain
 from georef_gis.project import Project
 from georef_gis.rasters.reading import GridHeader, Window, read_grid, read_grid_header
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
+from processing_algorithms.dem import frame_of_dem
 
 # m, one sigma of a raster's heights where nothing is stated
 RASTER_SIGMA = 1.0
@@ -32,15 +41,10 @@ RASTER_SIGMA = 1.0
 MOST_CELLS = 50_000_000
 # m; heights beyond are a number for "none" that the file does not declare
 _LOWEST, _HIGHEST = -1000.0, 10_000.0
-# EPSG code of a vertical CRS -> geoid
-_GEOIDS = {5773: "egm96", 3855: "egm2008", 5703: "geoid18", 6360: "geoid18", 8228: "geoid18",
-           6647: "cgvd2013"}  # fmt: skip
-# metres per unit, as project.toml and as GDAL name it
-_METRES = {
-    "m": 1.0, "metre": 1.0, "meter": 1.0, "metres": 1.0, "meters": 1.0,
-    "ft": INTERNATIONAL_FOOT, "foot": INTERNATIONAL_FOOT, "feet": INTERNATIONAL_FOOT,
-    "us survey foot": US_SURVEY_FOOT, "us-ft": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT,
-}  # fmt: skip
+# metres per unit, as project.toml names it
+_METRES = {"m": 1.0, "ft": INTERNATIONAL_FOOT, "us-ft": US_SURVEY_FOOT}
+# of the names of bands of ours, before the unit
+_SIGMA, _LOCAL = SIGMA_BAND.removesuffix("m"), LOCAL_BAND.removesuffix("m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +65,7 @@ class _Given:
     @property
     def ours(self) -> bool:
         """Whether `georef surface` wrote it."""
-        return SIGMA_BAND in self.bands[1:2]
+        return self.bands[1:2] != () and self.bands[1].startswith(_SIGMA)
 
 
 def raster_field(
@@ -85,7 +89,7 @@ def raster_field(
         If it cannot be read or does not lie there.
     """
     given = _given(project, path)
-    own = MapFrame(frame.origin, horizontal_crs(given.crs), gnss_datum=frame.gnss_datum)
+    own, doubt = frame_of_dem(frame, horizontal_crs(given.crs), path)
     window = _window(own, given.header, around, path)
     heights, (left, top) = _heights(given, own, window)
     metres = _cell_scale(own, frame, around.mean(axis=0))
@@ -95,7 +99,7 @@ def raster_field(
     )  # fmt: skip
     if sigma is None and given.ours:
         return _with_bands(terrain, given, window)
-    return GroundField.of(terrain, _name(given))
+    return GroundField.of(terrain, f"{_name(given)}{f' ({doubt})' if doubt else ''}")
 
 
 def _given(project: Project, path: Path) -> _Given:
@@ -186,15 +190,15 @@ def _unit(given: _Given) -> float:
         If none of them says, and the CRS does not count in metres.
     """
     crs = given.crs
-    if given.ours:
-        return 1.0
-    if band := given.header.unit.strip().lower():
-        if band not in _METRES:
+    band = given.bands[1].removeprefix(_SIGMA) if given.ours else given.header.unit.strip()
+    if band:
+        unit = height_unit(band)
+        if unit is None:
             raise InputError(
                 f"unit '{band}' of the heights is not known; use m, ft or us-ft",
                 source=str(given.path), field="band unit",
             )  # fmt: skip
-        return _METRES[band]
+        return unit
     up = crs.sub_crs_list[1].axis_info if crs.is_compound else crs.axis_info[2:]
     if up:
         return float(up[0].unit_conversion_factor)
@@ -213,13 +217,11 @@ def _geoid_of(given: _Given) -> str | None:
     """Geoid of a raster's heights; None where they are above the ellipsoid."""
     settings, crs = given.project.settings, given.crs
     if crs.is_compound:
-        found = _GEOIDS.get(crs.sub_crs_list[1].to_epsg() or 0)
-        if found is None:
-            raise CrsError(
-                f"heights of '{crs.sub_crs_list[1].name}' are of no geoid that is known",
-                source=str(given.path),
-            )
-        return found
+        try:
+            part = vertical_part(crs)
+        except CrsError as error:
+            raise CrsError(str(error), source=str(given.path)) from error
+        return None if part is None else part.geoid
     if len(crs.axis_info) == 3 or (given.ours and "ellipsoid" in given.bands[0]):
         return None
     return None if settings.ground.dem_height_kind == "ellipsoidal" else settings.gnss.geoid
@@ -230,9 +232,10 @@ def _geoid_of(given: _Given) -> str | None:
 
 def _with_bands(terrain: DemTerrain, given: _Given, window: Window) -> GroundField:
     """Field with the sigmas that its file holds: their root mean square about the shape."""
-    whole = _mean_square(given.path, window, 2)
+    whole = _mean_square(given, window, 2)
     # files of before had no band of the local part
-    local = _mean_square(given.path, window, 3) if LOCAL_BAND in given.bands else whole / 2.0
+    has_local = given.bands[2:3] != () and given.bands[2].startswith(_LOCAL)
+    local = _mean_square(given, window, 3) if has_local else whole / 2.0
     shared = math.sqrt(max(whole - local, 0.0))
     told = replace(terrain, sigma=math.sqrt(shared**2 + local))
     return GroundField(
@@ -245,7 +248,8 @@ def _name(given: _Given) -> str:
     return f"raster {given.path.name}"
 
 
-def _mean_square(path: Path, window: Window, band: int) -> float:
-    values = read_grid(path, window=window, band=band).values.astype(np.float64)
+def _mean_square(given: _Given, window: Window, band: int) -> float:
+    values = read_grid(given.path, window=window, band=band).values.astype(np.float64)
+    values *= _unit(given)
     known = values[np.isfinite(values)]
     return float(np.mean(known**2)) if len(known) else RASTER_SIGMA**2

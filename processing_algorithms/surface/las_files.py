@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from georef_gis.frames import Array
+    from georef_gis.geodesy import CRS
     from georef_gis.measure.surface.raster import HeightReference
     from georef_gis.model.grid import Grid
     from georef_gis.project import Project
@@ -38,7 +39,8 @@ def write_points(path: Path, project: Project, site: Site, reference: HeightRefe
     p_map = site.frame.map_from_enu(p_enu)
     # heights of products are above the ellipsoid of the positions
     above = site.frame.origin.geo_from_enu(p_enu)[:, 2]
-    p_map[:, 2] = reference.from_ellipsoidal(site.frame, p_map[:, :2], above)
+    level = reference.from_ellipsoidal(site.frame, p_map[:, :2], above)
+    p_map[:, 2] = level / reference.unit
     variance = np.einsum("kii->ki", on_map(site.frame, p_enu, covariance))
     variance[:, 2] += block_level(site) ** 2
     sigma = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
@@ -59,8 +61,8 @@ def write_points(path: Path, project: Project, site: Site, reference: HeightRefe
 class CellFile:
     """Cells of a surface as points, gathered tile by tile."""
 
-    def __init__(self, grid: Grid) -> None:
-        self._grid = grid
+    def __init__(self, grid: Grid, reference: HeightReference) -> None:
+        self._grid, self._reference = grid, reference
         self._xy: list[Array] = []
         self._values: list[NDArray[np.float32]] = []
         self._count = 0
@@ -85,16 +87,18 @@ class CellFile:
         self._xy.append(cell_centres(self._grid, row, col)[known])
         self._values.append(values[known])
 
-    def write(self, path: Path, crs_wkt: str) -> None:
-        """Write them, with both sigmas."""
+    def write(self, path: Path, horizontal: CRS) -> None:
+        """Write them in a map's CRS, with both sigmas, m."""
         none = np.zeros((0, 3), dtype=np.float32)
         values = np.concatenate([none, *self._values])
         xy = np.concatenate([np.zeros((0, 2)), *self._xy])
+        sigmas = values[:, 1:] * np.float32(self._reference.unit)
         extras = [
-            Extra(name="sigma_u", values=values[:, 1], told="one sigma of the height, m"),
-            Extra(name="sigma_local", values=values[:, 2], told="against its surroundings, m"),
+            Extra(name="sigma_u", values=sigmas[:, 0], told="one sigma of the height, m"),
+            Extra(name="sigma_local", values=sigmas[:, 1], told="against its surroundings, m"),
         ]
-        _write(path, np.column_stack([xy, values[:, 0]]), extras, crs_wkt)
+        wkt = self._reference.point_wkt(horizontal)
+        _write(path, np.column_stack([xy, values[:, 0]]), extras, wkt)
 
 
 def _write(path: Path, xyz: Array, extras: Sequence[Extra], crs_wkt: str) -> None:

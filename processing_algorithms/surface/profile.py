@@ -12,14 +12,13 @@ if TYPE_CHECKING:
     from georef_gis.measure.surface.profile import Profile
     from georef_gis.project import Project
 
-# of the table; the plot beside it has the same name
-_SUFFIXES = (".csv", ".json")
-
 
 class ProfileParameters(p.Parameters):
     """Parameters of `profile`."""
 
-    line: p.File | None = p.file(None, title="File with the line; every line is a profile")
+    line: p.VectorLayer | None = p.vector_layer(
+        None, title="File with the line; every line is a profile"
+    )
     layer: p.Text | None = p.text(None, title="Layer of that file, if several have lines")
     corner: tuple[p.MapPoint, ...] = p.map_point(
         (), title="Vertex of the line, x,y of the map (or @CRS); give it once per vertex"
@@ -29,7 +28,9 @@ class ProfileParameters(p.Parameters):
         help="points: adjusted points, flat triangles between them; ground: what the photos are "
         "laid on; auto: the points where there are some and no DEM is given",
     )  # fmt: skip
-    raster: p.File | None = p.file(None, title="Raster of heights, instead of the project's own")
+    raster: p.RasterLayer | None = p.raster_layer(
+        None, title="Raster of heights, instead of the project's own"
+    )
     sigma: p.Length | None = p.length(
         None, title="One sigma of that raster's heights", gt=0, advanced=True
     )
@@ -38,7 +39,7 @@ class ProfileParameters(p.Parameters):
     target: p.File | None = p.file(
         None,
         title="CSV to write; by default products/profile.csv",
-        suffixes=_SUFFIXES,
+        suffixes=(".csv", ".json"),
         writes=True,
     )
 
@@ -51,6 +52,7 @@ class ProfileTool(Algorithm[ProfileParameters]):
     """
 
     id, name, group = "profile", "Profile along a line", "measure"
+    about = "lines"
     needs = ("poses",)
     wants = ("adjusted",)
     uses_quick = True
@@ -69,7 +71,6 @@ class ProfileTool(Algorithm[ProfileParameters]):
         from processing_algorithms.drawn import drawn
         from processing_algorithms.surface.source import chosen_field
 
-        _refuse_picture(parameters.target)
         project = context.require_project()
         frame = load_frame(project.database)
         lines = drawn("line", parameters.line, parameters.corner, frame.horizontal,
@@ -79,9 +80,9 @@ class ProfileTool(Algorithm[ProfileParameters]):
             project, frame, parameters.of, parameters.raster, around, sigma=parameters.sigma,
             quick=context.quick,
         )  # fmt: skip
-        part = frame.vertical
-        geoid = project.settings.gnss.geoid if part is None else part.geoid
-        reference = HeightReference(kind=parameters.heights, geoid=geoid)
+        reference = HeightReference.promised(
+            parameters.heights, project.settings.gnss.geoid, frame.vertical, metres=True
+        )
         found = {
             line.name: profile_along(field, frame, line.shape, reference, step=parameters.step)
             for line in lines
@@ -98,20 +99,6 @@ class ProfileTool(Algorithm[ProfileParameters]):
             "doubts": doubts,
         }
         return Result(outputs=outputs, summary=summary)
-
-
-def _refuse_picture(target: Path | None) -> None:
-    """Refuse a table by the name of the picture that is written beside it.
-
-    Raises
-    ------
-    InputError
-        If the name is not that of a table.
-    """
-    from georef_gis.errors import InputError
-
-    if target is not None and target.suffix.lower() not in _SUFFIXES:
-        raise InputError(f"{target} is no table; name it {' or '.join(_SUFFIXES)}", field="target")
 
 
 def _gaps(found: dict[str, Profile]) -> list[str]:

@@ -109,13 +109,15 @@ def _scale(project: Project) -> float:
 
 
 def chosen_field(
-    project: Project, frame: MapFrame, source: Source, raster: Path | None, around: Any,
+    project: Project, frame: MapFrame, source: Source, raster: str | None, around: Any,
     *, sigma: float | None = None, quick: bool = False,
 ) -> HeightField:  # fmt: skip
     """Surface of the project, or of a raster about some shapes of the map.
 
     Parameters
     ----------
+    raster
+        File of heights.
     around
         Shape (shapely) in CRS units that a raster must cover.
     """
@@ -128,7 +130,7 @@ def chosen_field(
     xy = shapely.get_coordinates(around)
     level = np.full((len(xy), 1), frame.origin.height_ellipsoidal)
     places = frame.enu_from_map(np.hstack([xy, level]))[:, :2]
-    return raster_field(project, frame, raster, around=places, sigma=sigma)
+    return raster_field(project, frame, Path(raster), around=places, sigma=sigma)
 
 
 def on_plane(frame: MapFrame, shape: Any, field: HeightField) -> Any:

@@ -31,7 +31,10 @@ class SurfaceParameters(p.Parameters):
         "triangles between them, with what stands on the ground",
     )  # fmt: skip
     heights: Literal["orthometric", "ellipsoidal"] = p.choice(
-        "orthometric", title="Heights", help="above the geoid of [gnss] geoid, or the ellipsoid"
+        "orthometric",
+        title="Heights",
+        help="above the geoid and in the unit "
+        "of the CRS's vertical part, without one above [gnss] geoid in m; or the ellipsoid, in m",
     )
     cell: p.Length | None = p.length(
         None, title="Side of a cell on the ground; by default half of what the surface holds", gt=0
@@ -70,14 +73,14 @@ class SurfaceTool(Algorithm[SurfaceParameters]):
         project = context.require_project()
         site = load_site(project, quick=context.quick)
         field = project_field(project, parameters.of, quick=context.quick)
-        part = site.frame.vertical
-        geoid = project.settings.gnss.geoid if part is None else part.geoid
-        reference = HeightReference(kind=parameters.heights, geoid=geoid)
+        reference = HeightReference.promised(
+            parameters.heights, project.settings.gnss.geoid, site.frame.vertical
+        )
         project.products.mkdir(parents=True, exist_ok=True)
         grid, cover = _grid(project, site.frame, field, parameters.cell)
         outputs = {"surface": project.products / RASTER}
         adjusted = (project.adjustment / "points.npz").exists()
-        las = CellFile(grid) if _of_cells(parameters.las, adjusted=adjusted) else None
+        las = CellFile(grid, reference) if _of_cells(parameters.las, adjusted=adjusted) else None
         place = site.frame, reference, cover
         cells = _write(outputs["surface"], field, grid, place, (las, feedback))
         summary: dict[str, Any] = {
@@ -95,7 +98,7 @@ class SurfaceTool(Algorithm[SurfaceParameters]):
             summary["points"] = write_points(outputs["points"], project, site, reference)
         elif las is not None:
             outputs["points"] = project.products / CELLS
-            las.write(outputs["points"], reference.point_wkt(site.frame.horizontal))
+            las.write(outputs["points"], site.frame.horizontal)
         products = [str(path) for path in outputs.values()]
         return Result(outputs=outputs, summary={"products": products, **summary})
 

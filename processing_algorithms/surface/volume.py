@@ -22,7 +22,9 @@ AROUND = 3.0
 class VolumeParameters(p.Parameters):
     """Parameters of `volume`."""
 
-    area: p.File | None = p.file(None, title="File with the areas; every polygon is measured")
+    area: p.VectorLayer | None = p.vector_layer(
+        None, title="File with the areas; every polygon is measured"
+    )
     layer: p.Text | None = p.text(None, title="Layer of that file, if several have polygons")
     corner: tuple[p.MapPoint, ...] = p.map_point(
         (), title="Corner of one area, x,y of the map (or @CRS); give it once per corner"
@@ -38,7 +40,7 @@ class VolumeParameters(p.Parameters):
         "orthometric", title="What that height is above: geoid of [gnss] geoid, or ellipsoid"
     )
     height_sigma: p.Length = p.length(0.0, title="One sigma of that height", ge=0)
-    base_raster: p.File | None = p.file(None, title="Raster of the other surface")
+    base_raster: p.RasterLayer | None = p.raster_layer(None, title="Raster of the other surface")
     base_sigma: p.Length | None = p.length(
         None, title="One sigma of that raster's heights", gt=0, advanced=True
     )
@@ -47,7 +49,9 @@ class VolumeParameters(p.Parameters):
         help="points: adjusted points, flat triangles between them; ground: what the photos are "
         "laid on, smooth; auto: the points where there are some and no DEM is given",
     )  # fmt: skip
-    raster: p.File | None = p.file(None, title="Raster of heights, instead of the project's own")
+    raster: p.RasterLayer | None = p.raster_layer(
+        None, title="Raster of heights, instead of the project's own"
+    )
     sigma: p.Length | None = p.length(
         None, title="One sigma of that raster's heights", gt=0, advanced=True
     )
@@ -68,6 +72,7 @@ class VolumeTool(Algorithm[VolumeParameters]):
     """
 
     id, name, group = "volume", "Volume over a base", "measure"
+    about = "areas"
     needs = ("poses",)
     wants = ("adjusted",)
     uses_quick = True
@@ -159,7 +164,7 @@ def _base(project: Project, frame: MapFrame, parameters: VolumeParameters, area:
     from processing_algorithms.surface.given import raster_field
 
     other = raster_field(
-        project, frame, parameters.base_raster, around=shapely.get_coordinates(area),
+        project, frame, Path(parameters.base_raster), around=shapely.get_coordinates(area),
         sigma=parameters.base_sigma,
     )  # fmt: skip
     return lambda field: OtherSurface(field=other)

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grid_cases import plane, write_gtx, write_tiff
+from grid_cases import grids_in, plane, write_gtx, write_tiff
+from pyproj import datadir
 
 from georef_gis.errors import CrsError
 from georef_gis.geodesy import (
+    CRS,
     Datum,
     Height,
     HeightKind,
@@ -23,6 +25,7 @@ from georef_gis.geodesy import (
     Origin,
     geoid_undulation,
     map_crs,
+    use_grids,
     vertical_part,
 )
 
@@ -160,6 +163,30 @@ def test_a_map_that_promises_navd88_is_refused_without_the_grid_and_taken_with_i
 
 
 @pytest.mark.parametrize(
+    ("name", "datum", "unit", "geoid"),
+    [
+        ("NAVD_1988_Foot_US", "North_American_Vertical_Datum_1988", 1200 / 3937, "geoid18"),
+        ("NAVD_1988", "North_American_Vertical_Datum_1988", 1.0, "geoid18"),
+        ("NAVD88 (ft)", "North American Vertical Datum of 1988", 0.3048, "geoid18"),
+        ("CGVD2013", "Canadian_Geodetic_Vertical_Datum_of_2013", 1.0, "cgvd2013"),
+        ("EGM2008", "EGM2008_Geoid", 1.0, "egm2008"),
+    ],
+)
+def test_heights_of_a_prj_of_esri_are_known_by_their_datum(
+    name: str, datum: str, unit: float, geoid: str
+) -> None:
+    """It has no codes: ArcGIS writes a VERTCS behind the PROJCS."""
+    across = CRS.from_epsg(6549).to_wkt("WKT1_ESRI")
+    up = (
+        f'VERTCS["{name}",VDATUM["{datum}"],PARAMETER["Vertical_Shift",0.0],'
+        f'PARAMETER["Direction",1.0],UNIT["a unit",{unit!r}]]'
+    )
+    part = vertical_part(map_crs(f"{across},{up}"))
+    assert part is not None
+    assert (part.geoid, part.unit) == (geoid, pytest.approx(unit, rel=1e-12))
+
+
+@pytest.mark.parametrize(
     ("text", "match"),
     [("EPSG:6549+5702", "no geoid that is known"), ("EPSG:6549+6358", "counts downwards")],
 )
@@ -213,6 +240,60 @@ def test_a_projects_setting_names_the_folder(grids: Path, tmp_path: Path) -> Non
         undulation(geoid="geoid18")
     Project.open(tmp_path / "site")
     assert undulation(geoid="geoid18") == pytest.approx(plane(LAT, LON), abs=EXACT)
+
+
+def test_a_project_seen_in_passing_leaves_its_folder_of_grids_to_none_that_follows(
+    grids: Path, tmp_path: Path
+) -> None:
+    """As `georef batch` sees many: a file of one name need not be the same in two of them."""
+    from georef_gis.project import Project
+    from georef_gis.project.grids import grids_kept
+
+    write_gtx(grids / "county.gtx")
+    (tmp_path / "site" / "stick").mkdir(parents=True)
+    write_gtx(tmp_path / "site" / "stick" / "county.gtx", shift=2.0)
+    (tmp_path / "site" / "project.toml").write_text('[project]\ngrids = "stick"\n')
+    before = dict(os.environ)
+    with grids_kept():
+        Project.open(tmp_path / "site")
+        assert undulation(geoid="county.gtx") == pytest.approx(plane(LAT, LON) + 2.0, abs=EXACT)
+    assert undulation(geoid="county.gtx") == pytest.approx(plane(LAT, LON), abs=EXACT)
+    assert dict(os.environ) == before
+
+
+@pytest.mark.parametrize("length", [5, 60, 61, 100])
+def test_a_folder_of_before_is_not_taken_for_the_one_in_use(tmp_path: Path, length: int) -> None:
+    """pyproj loses all names of PROJ's list but the last, at some lengths of them."""
+    folders = [tmp_path / ("x" * length) / name for name in ("first", "site/second")]
+    for shift, folder in enumerate(folders):
+        folder.mkdir(parents=True)
+        write_gtx(folder / "county.gtx", shift=shift)
+    with grids_in(folders[0]):
+        use_grids(folders[1])
+        assert undulation(geoid="county.gtx") == pytest.approx(plane(LAT, LON) + 1.0, abs=EXACT)
+        assert datadir.get_data_dir().split(os.pathsep)[1:] == [str(folders[1])]
+
+
+def test_a_grid_in_the_users_folder_does_not_stand_for_one_of_the_folder_that_is_named(
+    tmp_path: Path,
+) -> None:
+    home = tmp_path / "home" / ".local" / "share" / "proj"
+    home.mkdir(parents=True)
+    write_gtx(home / "county.gtx")
+    code = (
+        "from pathlib import Path\n"
+        "from georef_gis.geodesy import geoid_undulation, use_grids\n"
+        "geoid_undulation(0.7, -1.45, geoid='county.gtx')\n"
+        "use_grids(Path('none'))\n"
+        "geoid_undulation(0.7, -1.45, geoid='county.gtx')\n"
+    )
+    env = {name: value for name, value in os.environ.items() if "GRIDS" not in name}
+    env = {**env, "HOME": str(tmp_path / "home"), "XDG_DATA_HOME": ""}
+    env.pop("PROJ_USER_WRITABLE_DIRECTORY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=env, check=False
+    )
+    assert "the grid county.gtx of geoid 'county.gtx' is not installed" in done.stderr
 
 
 def test_proj_keeps_its_own_database(grids: Path) -> None:

@@ -135,3 +135,20 @@ def test_examining_leaves_no_file(grids: Path, stick: Path) -> None:
     examine_grid(stick / "a.tif")
     assert [path.name for path in stick.iterdir()] == ["a.tif"]
     assert math.isfinite(float(plane(40.0, -83.0)))
+
+
+def test_a_dem_in_degrees_is_no_geoid(grids: Path, stick: Path) -> None:
+    """Under the name of one it would give heights that are wrong by those of the ground."""
+    with pytest.raises(InputError, match=r"holds \d+ m, .* is it a DEM\?"):
+        add_grid(write_tiff(stick / "us_noaa_g2018u0.tif", shift=300.0))
+    assert list(grids.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["us_noaa_g2018u0 (1).tif", "county ä.gtx", "A.GTX", "a,b.gtx"])
+def test_a_name_that_proj_cannot_be_told_is_refused(grids: Path, stick: Path, name: str) -> None:
+    write = write_tiff if name.endswith(".tif") else write_gtx
+    with pytest.raises(InputError, match="give the file its own again"):
+        add_grid(write(stick / name))
+    assert list(grids.iterdir()) == []
+    with pytest.raises(InputError, match="is a folder; give the files in it"):
+        add_grid(stick)

@@ -67,6 +67,24 @@ def test_datums_that_a_grid_parts_are_needs_too(grids: Path, site: Path) -> None
     )
 
 
+def test_what_the_control_is_in_is_a_need_too(grids: Path, site: Path) -> None:
+    """By the head of its file; [control] datum goes before."""
+    (site / "project.toml").write_text(
+        '[project]\ncrs = "EPSG:6549"\n[gnss]\ndatum = "NAD83(2011)@2010.0"\n'
+        '[control]\nfile = "c.csv"\n'
+    )
+    (site / "c.csv").write_text("# crs: EPSG:3753+6360\n# geoid: GEOID12B\nname,easting\n")
+    told = json.loads(georef("list", "--project", site, "--json")[1])
+    reasons = {need["name"]: need["reason"] for need in told["needed"]}
+    assert reasons[GEOID18] == "[control] crs: NAVD88 height (ftUS), geoid geoid18"
+    assert reasons["us_noaa_g2012bu0.tif"] == "[control] geoid, geoid geoid12b"
+    assert "from NAD83(2011)@2010.0 to NAD83(HARN)" in reasons.values()
+    with (site / "project.toml").open("a") as stream:
+        stream.write('datum = "NAD83(2011)@2010.0"\n')
+    told = json.loads(georef("list", "--project", site, "--json")[1])
+    assert not [need for need in told["needed"] if need["reason"].startswith("from ")]
+
+
 def test_a_project_that_needs_none_says_so(grids: Path, site: Path) -> None:
     (site / "project.toml").write_text("")
     code, text, _ = georef("list", "--project", site)

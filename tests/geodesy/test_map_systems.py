@@ -15,6 +15,7 @@ from georef_gis.geodesy import (
     MapFrame,
     Origin,
     differ_only_in_foot,
+    ecef_from_geo,
     map_crs,
     metres_per_unit,
     parse_crs,
@@ -97,6 +98,7 @@ def test_an_esri_prj_without_authority_is_known_as_what_it_is(code: int) -> None
     text = CRS.from_epsg(code).to_wkt("WKT1_ESRI")
     assert "EPSG" not in text
     assert map_crs(text).to_epsg() == code
+    assert map_crs("\ufeff" + text).to_epsg() == code
 
 
 def test_a_wkt_that_is_nearly_a_state_plane_stays_as_it_is() -> None:
@@ -202,6 +204,90 @@ def test_realisations_that_a_grid_parts_need_it_and_it_is_named(
         CrsError, match=rf"needs .*PROJ grid.*georef grids download .*us_noaa_{grid}"
     ):
         at(text, gnss_datum=NAD83, crs_datum=datum)
+
+
+def test_a_map_of_an_older_name_may_be_said_to_be_in_the_datum_of_the_positions() -> None:
+    """EPSG:2276, Texas: what offices still write, and mean EPSG:6584 by."""
+    place = (32.78, -96.8)
+    with pytest.raises(CrsError, match=r'datum_output = "NAD83\(2011\)@2010\.0"'):
+        at("EPSG:2276", place, gnss_datum=NAD83)
+    said = at("EPSG:2276", place, gnss_datum=NAD83, crs_datum=NAD83)
+    new = at("EPSG:6584", place, gnss_datum=NAD83)
+    # ft
+    assert said.map_from_enu(np.zeros(3)) == pytest.approx(new.map_from_enu(np.zeros(3)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("igs", "itrf"), [("IGS20", "ITRF2020"), ("IGb14", "ITRF2014"), ("IGS08", "ITRF2008")]
+)
+def test_positions_in_a_frame_of_the_igs_are_those_of_its_itrf(igs: str, itrf: str) -> None:
+    """As OPUS and PPP name them; PROJ knows the names and no way from them."""
+    a, b = (
+        at("EPSG:6549", gnss_datum=Datum.parse(f"{name}@2026.4")).map_from_enu(np.zeros(3))
+        for name in (igs, itrf)
+    )
+    # ft
+    assert a == pytest.approx(b, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["EPSG:6549", "EPSG:5703", "6549"])
+def test_a_map_or_a_height_system_is_no_datum(name: str) -> None:
+    """An easting would go on as a longitude."""
+    with pytest.raises(CrsError, match=r"no datum of positions.*write e\.g\. NAD83"):
+        Datum.parse(name)
+
+
+def test_itrf2014_at_an_epoch_is_nad83_by_the_parameters_of_ngs() -> None:
+    """Pearson and Snay 2013, at 2010.0 with rates: m, mas, ppb; written down here without PROJ."""
+    frame = at("EPSG:6549", gnss_datum=Datum.parse("ITRF2014@2024.5"))
+    same = at("EPSG:6549", gnss_datum=NAD83)
+    years = 14.5
+    shift = np.array([1.00530, -1.90921, -0.54157]) + years * np.array([79e-5, -60e-5, -144e-5])
+    mas = np.array([26.78138, -0.42027, 10.93206])
+    mas += years * np.array([0.06667, -0.75744, -0.05133])
+    scale = 1.0 + (0.36891 - 0.07201 * years) * 1e-9
+    p = np.asarray(ecef_from_geo([*np.radians(SITE), 250.0]))
+    turned = np.cross(p, np.radians(mas / 3.6e6))
+    wanted = shift + scale * p + turned
+    there = same.geo_from_map(frame.map_from_geo([*np.radians(SITE), 250.0]))
+    # m; the ellipsoids of WGS 84 and GRS 80 differ by 0.1 mm in the axis
+    assert np.asarray(ecef_from_geo(there)) == pytest.approx(wanted, abs=2e-4)
+
+
+def test_the_epoch_is_that_of_the_frame_that_moves_whichever_end_it_stands_at() -> None:
+    """Control of OPUS in ITRF2014@2024.5 beside positions in NAD83(2011)@2010.0: 0.25 m in Ohio."""
+    itrf = Datum.parse("ITRF2014@2024.5")
+    place = np.array([*np.radians(SITE), 250.0])
+    there = at("EPSG:6549", gnss_datum=itrf, crs_datum=NAD83).map_from_geo(place)
+    back = at("EPSG:32617", gnss_datum=NAD83, crs_datum=itrf)
+    in_nad83 = at("EPSG:6549", gnss_datum=NAD83).geo_from_map(there)
+    wanted = at("EPSG:32617", gnss_datum=itrf, crs_datum=itrf).map_from_geo(place)
+    # m
+    assert back.map_from_geo(in_nad83) == pytest.approx(wanted, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("gnss", "crs", "match"),
+    [
+        ("NAD83(2011)@2010.0", "ITRF2014", "state the epoch of ITRF2014"),
+        ("ITRF2020", "NAD83(2011)@2010.0", "state the epoch of ITRF2020"),
+        ("ITRF2020@2026.4", "ITRF2014@2010.0", "bring both to one epoch"),
+        ("ITRF2014@2026.4", "ITRF2014@2010.0", "bring both to one epoch"),
+    ],
+)
+def test_an_epoch_that_is_missing_or_years_away_is_no_silent_shift(
+    gnss: str, crs: str, match: str
+) -> None:
+    with pytest.raises(CrsError, match=match):
+        at("EPSG:6549", gnss_datum=Datum.parse(gnss), crs_datum=Datum.parse(crs))
+
+
+@pytest.mark.parametrize("gnss", ["NAD83(2011)@2010.0", "ITRF2020@2026.4"])
+def test_a_prj_of_wgs_84_has_no_realisation_and_needs_no_epoch(gnss: str) -> None:
+    """ESRI's has no ensemble; a DEM in it lies where it lay, 2 m unsure."""
+    text = CRS.from_epsg(32617).to_wkt("WKT1_ESRI").replace("WGS_1984_UTM", "Own_UTM")
+    frame = at(text, gnss_datum=Datum.parse(gnss))
+    assert frame.datum_sigma >= 2.0
 
 
 def test_an_old_map_of_which_only_ten_metres_are_known_needs_its_grid() -> None:

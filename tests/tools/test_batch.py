@@ -173,6 +173,34 @@ def test_a_site_that_another_run_works_on_is_named_busy(sites: Path, tmp_path: P
     assert "another run works on this project" in rows_of(tmp_path / "batch")["busy"]["message"]
 
 
+def test_a_sites_folder_of_grids_is_not_that_of_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GEOREF_GRIDS", str(tmp_path))
+    for name, text in (("a", '[project]\ngrids = "own"\n'), ("b", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "project.toml").write_text(text)
+    given = []
+    monkeypatch.setattr(
+        "georef_gis.app.batch.schedule.SiteProcess",
+        lambda site, *_: given.append(os.environ["GEOREF_GRIDS"]) or Ended(site),
+    )
+    assert georef("batch", tmp_path / "a", tmp_path / "b", "--jobs", 1).code == 0
+    assert given == [str(tmp_path)] * 2
+
+
+class Ended:
+    """A process that has done its site."""
+
+    fraction = 1.0
+
+    def __init__(self, site: BatchSite) -> None:
+        self.site = site
+
+    def poll(self) -> Outcome:
+        return Outcome(site=self.site, state="done", duration_s=0.0)
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -189,6 +217,15 @@ def test_wrong_words_are_refused_before_any_site_is_run(
     done = georef("batch", *words)
     assert done.code == 2
     done.line("georef:", told)
+    assert not (tmp_path / "site" / "georef.gpkg").exists()
+
+
+def test_a_summary_that_cannot_be_written_is_told_before_any_site_is_run(tmp_path: Path) -> None:
+    copy_site(tmp_path / "site", 1)
+    (tmp_path / "batch").write_text("a file, whoever runs this")
+    done = georef("batch", tmp_path / "site", "--quick")
+    assert done.code == 2
+    done.line("georef:", "batch/logs: cannot be written", "--summary FOLDER")
     assert not (tmp_path / "site" / "georef.gpkg").exists()
 
 

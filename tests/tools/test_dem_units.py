@@ -14,8 +14,16 @@ import rasterio
 from pyproj import CRS
 from tool_cases import SAMPLE, georef
 
-from georef_gis.errors import InputError
-from georef_gis.geodesy import Height, HeightKind, MapFrame, Origin, geoid_undulation, parse_crs
+from georef_gis.errors import CrsError, InputError
+from georef_gis.geodesy import (
+    Datum,
+    Height,
+    HeightKind,
+    MapFrame,
+    Origin,
+    geoid_undulation,
+    parse_crs,
+)
 from georef_gis.model.photo import Geotag, Photo
 from georef_gis.project import Project
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
@@ -163,6 +171,80 @@ def test_a_stated_unit_is_taken_without_a_word(
     choice, ground = chosen(project, photos(5000.0, "orthometric", 10.0))
     assert (choice.told, choice.doubt) == ("", "")
     assert ground == pytest.approx(314.0, abs=0.05)
+
+
+@pytest.mark.parametrize("band", ["Feet", "foot_us", "U.S. Survey Feet", "Survey_Feet"])
+def test_a_band_names_its_feet_in_many_ways(tmp_path: Path, band: str) -> None:
+    project = project_with_dem(tmp_path, 314.0 / US_SURVEY_FOOT, METRES, band=band)
+    choice, ground = chosen(project, photos(374.0, "orthometric", 60.0))
+    assert (choice.told, choice.doubt) == ("", "")
+    # m; the two feet differ by 0.6 mm here, the rest is the geoid's grid and float32
+    assert ground == pytest.approx(314.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("stored", "is_found"), [(314.0, True), (20.0, True), (2.0, False)])
+def test_feet_in_a_crs_of_metres_are_found_by_the_tags_and_told(
+    tmp_path: Path, stored: float, is_found: bool
+) -> None:
+    """Read as metres the ground lay above the cameras, or the scale was wrong by a third."""
+    project = project_with_dem(tmp_path, stored / US_SURVEY_FOOT, METRES)
+    choice, ground = chosen(project, photos(stored + 120.0, "orthometric", 120.0))
+    assert ("[ground] dem_unit" in choice.doubt) == is_found
+    # m; beside the sea feet and metres cannot be told apart, and metres are usual
+    assert ground == pytest.approx(stored if is_found else stored / US_SURVEY_FOOT, abs=0.05)
+
+
+def in_nad83(project: Project) -> tuple[str, float]:
+    """Doubt and height of the ground where positions are in NAD83(2011) and their DEM is older."""
+    frame = MapFrame(SITE, parse_crs(METRES), gnss_datum=Datum.parse("NAD83(2011)@2010.0"))
+    dem = read_dem(project, frame, np.array([[0.0, 0.0, 60.0]]))
+    choice = choose_unit(dem, photos(374.0, "orthometric", 60.0))
+    ground = dem.terrain(choice.unit).height_at_map(dem.frame.map_from_enu([0.0, 0.0, 0.0])[:2])
+    return choice.doubt, float(ground) - N
+
+
+def test_a_dem_that_says_nad83_and_no_realisation_needs_no_grids(tmp_path: Path) -> None:
+    """USGS says EPSG:4269 or 26917 of all its DEMs; of NAD27 tens of metres are at stake."""
+    for crs in ("EPSG:26917", "EPSG:4269"):
+        doubt, ground = in_nad83(project_with_dem(tmp_path, 314.0, crs))
+        assert "dem.tif: its datum NAD83 is taken as NAD83(2011)" in doubt
+        assert ground == pytest.approx(314.0, abs=0.05)
+    project = project_with_dem(tmp_path, 314.0, "EPSG:26917")
+    with rasterio.open(tmp_path / "dem.tif", "r+") as raster:
+        raster.crs = rasterio.CRS.from_epsg(26717)
+    with pytest.raises(CrsError, match=r"dem\.tif: .*NAD27.*georef grids download"):
+        in_nad83(project)
+
+
+@pytest.mark.parametrize(
+    ("crs", "stated", "is_told"),
+    [(METRES, False, True), (METRES, True, False), (f"{METRES}+5773", False, False)],
+)
+def test_a_dem_above_no_stated_geoid_is_told_in_a_project_of_navd88(
+    tmp_path: Path, crs: str, stated: bool, is_told: bool
+) -> None:
+    """EGM96 and GEOID18 lie decimetres apart: products would be off by them without a word."""
+    project = project_with_dem(tmp_path, 314.0, crs, stated_geoid=stated)
+    frame = MapFrame(SITE, parse_crs(f"{US_FEET}+6360"))
+    dem = read_dem(project, frame, np.array([[0.0, 0.0, 60.0]]))
+    assert ("promises NAVD88 height (ftUS)" in dem.doubt) == is_told
+    assert ('[gnss] geoid, such as "geoid18"' in dem.doubt) == is_told
+
+
+def test_heights_of_an_unknown_system_wait_for_the_user_to_say_what_they_are(
+    tmp_path: Path,
+) -> None:
+    """NGVD29 in feet: refused with what to write, taken when it is written."""
+    feet = 314.0 / US_SURVEY_FOOT
+    with pytest.raises(CrsError, match=r"NGVD29.*dem_height_kind = .*\[gnss\] geoid"):
+        chosen(project_with_dem(tmp_path, feet, f"{US_FEET}+5702"), photos(374.0, "unknown", 60.0))
+    said = 'dem_height_kind = "orthometric"\n'
+    project = project_with_dem(tmp_path, feet, f"{US_FEET}+5702", text=said)
+    _, ground = chosen(project, photos(374.0, "unknown", 60.0))
+    assert ground == pytest.approx(314.0, abs=0.05)
+    project = project_with_dem(tmp_path, -feet, f"{US_FEET}+6358", text=said)
+    with pytest.raises(CrsError, match="counts downwards"):
+        chosen(project, photos(374.0, "unknown", 60.0))
 
 
 # -- in a run ----------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # bytes of memory for a site that is worked on
 MEMORY = 2_000_000_000
-FOLDER = "batch"
+FOLDER, LOGS = "batch", "logs"
 
 
 @click.command(short_help="Make the products of many sites, and one table of them.")
@@ -77,6 +77,7 @@ def _batch(given: Sequence[str], wishes: Mapping[str, Any], feedback: PlainFeedb
         load_registry().find(name)
     found = find_sites(given)
     folder: Path = wishes["summary"] or common_folder(found) / FOLDER
+    _check_writable(folder / LOGS)
     jobs = wishes["jobs"] or _default_jobs(len(found))
     rows: list[Row] = []
 
@@ -89,7 +90,7 @@ def _batch(given: Sequence[str], wishes: Mapping[str, Any], feedback: PlainFeedb
         Wishes(
             jobs=jobs,
             arguments=_arguments(wishes, jobs),
-            logs=folder / "logs",
+            logs=folder / LOGS,
             limit_s=60.0 * (wishes["limit"] or 0.0),
         ),
         feedback,
@@ -101,6 +102,29 @@ def _batch(given: Sequence[str], wishes: Mapping[str, Any], feedback: PlainFeedb
     code = _exit_code(outcomes)
     _tell(feedback, rows, written, code)
     return code
+
+
+def _check_writable(folder: Path) -> None:
+    """Refuse a folder that no log can be written to, before any site is run.
+
+    Raises
+    ------
+    ExportError
+        With the cure.
+    """
+    import tempfile
+
+    from georef_gis.errors import ExportError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ExportError(
+            f"{folder}: cannot be written ({error.strerror}); give a folder for the table and the "
+            "logs by --summary FOLDER"
+        ) from error
 
 
 def _default_jobs(count: int) -> int:
@@ -131,6 +155,7 @@ def _settled(
     from georef_gis.app.batch.process import Outcome
     from georef_gis.errors import GeorefError
     from georef_gis.project import Project
+    from georef_gis.project.grids import grids_kept
     from georef_gis.toolbox.registry import load_registry
     from georef_gis.toolbox.runner import why_pending
     from georef_gis.toolbox.steps import RunOptions
@@ -138,9 +163,10 @@ def _settled(
     begun = time.monotonic()
     options = RunOptions(**{name: wishes[name] for name in ("quick", "force", "verify")})
     try:
-        project = Project.open(site.folder)
-        if why_pending(load_registry(), project, values=values, options=options):
-            return None
+        with grids_kept():
+            project = Project.open(site.folder)
+            if why_pending(load_registry(), project, values=values, options=options):
+                return None
     except GeorefError:
         # `georef run` says it in its own words.
         return None
@@ -151,6 +177,7 @@ def _row(outcome: Outcome) -> Row:
     from georef_gis.app.batch.table import Row
     from georef_gis.errors import GeorefError
     from georef_gis.project import Project
+    from georef_gis.project.grids import grids_kept
     from georef_gis.project.project import DATABASE_FILE
     from georef_gis.project.summary import summarise
     from georef_gis.toolbox.registry import load_registry
@@ -159,7 +186,7 @@ def _row(outcome: Outcome) -> Row:
     if not (outcome.site.folder / DATABASE_FILE).is_file():
         return Row(outcome=outcome, summary=None)
     try:
-        with Project.open(outcome.site.folder).reader() as reader:
+        with grids_kept(), Project.open(outcome.site.folder).reader() as reader:
             return Row(outcome=outcome, summary=summarise(reader, tools))
     except GeorefError:
         # Its outcome says what is wrong; figures are not known.

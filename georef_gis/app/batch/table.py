@@ -43,6 +43,7 @@ body { font: 15px/1.45 system-ui, sans-serif; margin: 1.5rem; }
 table { border-collapse: collapse; }
 th, td { padding: .35rem .7rem; border-bottom: 1px solid #8884; text-align: left;
   vertical-align: top; }
+td:nth-child(2) { white-space: nowrap; }
 td.n { text-align: right; font-variant-numeric: tabular-nums; }
 tr.failed td, tr.bug td { background: #c622; }
 tr.cancelled td { background: #8882; }
@@ -102,7 +103,8 @@ def write_tables(rows: Sequence[Row], folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     refused: list[str] = []
     for name in (CSV, HTML, LAYER):
-        part = folder / f".{name}.part"
+        # two batches may write one folder at once
+        part = folder / f".{os.getpid()}.{name}.part"
         try:
             _write(name, rows, part)
             os.replace(part, folder / name)

@@ -11,17 +11,26 @@ import shapely
 from numpy.typing import NDArray
 
 from georef_gis.frames import Array
-from georef_gis.geodesy import CRS, MapFrame, geoid_undulation, parse_crs
+from georef_gis.geodesy import (
+    CRS,
+    MapFrame,
+    VerticalPart,
+    geoid_undulation,
+    navd88_code,
+    parse_crs,
+)
 from georef_gis.measure.surface.field import HeightField, bounds_of
 from georef_gis.model.grid import Grid
 from georef_gis.rasters.profile import RasterProfile
+from georef_gis.units import INTERNATIONAL_FOOT
 
 Reference = Literal["orthometric", "ellipsoidal"]
 # value of cells without a height
 NODATA = -9999.0
-# CRS of heights above a geoid, m
-_VERTICAL = {"egm96": "EPSG:5773", "egm2008": "EPSG:3855", "geoid18": "EPSG:5703",
-             "cgvd2013": "EPSG:6647"}  # fmt: skip
+# EPSG codes of heights above a geoid, m
+_VERTICAL = {"egm96": 5773, "egm2008": 3855, "geoid18": 5703, "cgvd2013": 6647}
+# of Puerto Rico and the Virgin Islands: above GEOID18 too, and not NAVD88
+_ISLANDS = (6641, 6642)
 # Vertical datum 2002 of WKT 1 is an ellipsoid.
 _ELLIPSOIDAL = (
     'VERT_CS["ellipsoidal height",VERT_DATUM["Ellipsoid",2002],'
@@ -30,41 +39,88 @@ _ELLIPSOIDAL = (
 # nodes along each side of a lattice on which what is smooth is told
 _LATTICE = 9
 TILE = 512
-# m; finer digits are noise, which no compression makes small
+# of m or ft; finer digits are noise, which no compression makes small
 _STEP = np.float32(2.0**-13)
 # of deflate: the usual 6 takes four times as long for files 7 % smaller
 _LEVEL = 2
-# names of the bands of sigmas, by which a raster of ours is known
+# names of the bands of sigmas, by which a raster of ours is known; the unit comes last
 SIGMA_BAND = "one sigma of the height, m"
 LOCAL_BAND = "one sigma of the height against its surroundings, m"
+SIGMA_BANDS = (SIGMA_BAND, LOCAL_BAND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeightReference:
-    """What heights are measured from: a geoid, or the ellipsoid."""
+    """What heights are measured from, a geoid or the ellipsoid, and the unit they are written in.
+
+    Parameters
+    ----------
+    unit
+        Of the heights and sigmas of a product, m.
+    code
+        EPSG code of the heights; None = that of the geoid in metres, if it has one.
+    """
 
     kind: Reference
     geoid: str = "egm96"
+    unit: float = 1.0
+    code: int | None = None
+
+    @classmethod
+    def promised(
+        cls, kind: Reference, geoid: str, part: VerticalPart | None, *, metres: bool = False
+    ) -> HeightReference:
+        """Heights as the vertical part of a map promises them; without one above a geoid, in m.
+
+        Parameters
+        ----------
+        metres
+            Whatever the part's unit.
+        """
+        if part is None or kind == "ellipsoidal":
+            return cls(kind=kind, geoid=geoid if part is None else part.geoid)
+        if part.code in _ISLANDS:
+            return cls(kind=kind, geoid=part.geoid, code=part.code)
+        code = navd88_code(part.unit) if part.geoid == "geoid18" and not metres else None
+        # A unit without a code would be written as metres.
+        return cls(kind=kind, geoid=part.geoid, unit=part.unit if code else 1.0, code=code)
+
+    @property
+    def unit_name(self) -> str:
+        """Short, as EPSG has it: m, ft, ftUS."""
+        if self.unit == 1.0:
+            return "m"
+        return "ft" if abs(self.unit / INTERNATIONAL_FOOT - 1.0) < 1e-6 else "ftUS"
+
+    @property
+    def _up(self) -> CRS | None:
+        """CRS of the heights above a geoid, if it has one."""
+        code = self.code or _VERTICAL.get(self.geoid)
+        return None if code is None else parse_crs(f"EPSG:{code}")
 
     @property
     def told(self) -> str:
         """In words."""
         if self.kind == "ellipsoidal":
-            return "above the WGS 84 ellipsoid of the positions, m"
-        vertical = parse_crs(_VERTICAL[self.geoid]) if self.geoid in _VERTICAL else None
-        return f"above the geoid {self.geoid} ({vertical.name if vertical else 'no CRS'}), m"
+            return f"above the WGS 84 ellipsoid of the positions, {self.unit_name}"
+        name = "no CRS" if self._up is None else self._up.name
+        return f"above the geoid {self.geoid} ({name}), {self.unit_name}"
+
+    @property
+    def bands(self) -> tuple[str, str, str]:
+        """Names of the bands of a raster: height and its two sigmas, with their unit."""
+        whole, local = (f"{band.removesuffix('m')}{self.unit_name}" for band in SIGMA_BANDS)
+        return f"height {self.told}", whole, local
 
     def crs_wkt(self, horizontal: CRS) -> str:
         """CRS of a raster of such heights; above an ellipsoid that of the map alone.
 
         GeoTIFF has no sound way to tell that heights of a map are above its ellipsoid.
         """
-        code = _VERTICAL.get(self.geoid)
-        if self.kind == "ellipsoidal" or code is None:
+        if self.kind == "ellipsoidal" or self._up is None:
             return str(horizontal.to_wkt())
-        up = parse_crs(code)
-        across, height = horizontal.to_wkt("WKT1_GDAL"), up.to_wkt("WKT1_GDAL")
-        return f'COMPD_CS["{horizontal.name} + {up.name}",{across},{height}]'
+        across, height = horizontal.to_wkt("WKT1_GDAL"), self._up.to_wkt("WKT1_GDAL")
+        return f'COMPD_CS["{horizontal.name} + {self._up.name}",{across},{height}]'
 
     def point_wkt(self, horizontal: CRS) -> str:
         """WKT 1 of points with such heights: without a vertical part a reader takes feet for them.
@@ -101,7 +157,7 @@ def surface_profile(
         level=_LEVEL,
         tile_size=TILE,
         nodata=NODATA,
-        band_descriptions=(f"height {reference.told}", SIGMA_BAND, LOCAL_BAND),
+        band_descriptions=reference.bands,
         metadata={
             "SURFACE": field.name,
             "VERTICAL_REFERENCE": reference.told,
@@ -127,6 +183,7 @@ def surface_tiles(
     row, col
         Of the tile.
     values : shape (rows, cols, 3), float32
+        In the unit of the reference.
     known : shape (rows, cols)
     """
     shapely.prepare(cover)
@@ -166,7 +223,7 @@ def cell_centres(grid: Grid, row: int, col: int) -> Array:
 def _heights(
     field: HeightField, frame: MapFrame, reference: HeightReference, xy: Array
 ) -> NDArray[np.float32]:
-    """Height, sigma, local sigma at places of the map, (rows, cols, 2) -> (rows, cols, 3), m."""
+    """Height, sigma, local sigma at places of the map, in the reference's unit; (r, c, 2 or 3)."""
     found = field.on_map(frame, xy)
     level = float(frame.origin.height_ellipsoidal)
 
@@ -178,6 +235,7 @@ def _heights(
     out[..., 0] = found.height - undulation_over(frame, reference, xy)
     out[..., 1] = np.hypot(found.local, _smooth(common, xy))
     out[..., 2] = found.local
+    out /= np.float32(reference.unit)
     return np.asarray(np.round(out / _STEP) * _STEP, dtype=np.float32)
 
 
