@@ -13,6 +13,7 @@ from exports.site import schemas
 from exports.site.adjustment import read_points
 from exports.site.build import number, place
 from exports.site.columns import Column, Layer, Places
+from exports.site.map_heights import map_heights
 from exports.site.schemas import Value
 from exports.site.values import SiteControl, SiteValues
 from georef_gis.frames import Array, R_ecef_from_enu
@@ -27,7 +28,11 @@ def control_layer(site: SiteValues) -> Layer:
         geo = site.frame.geo_from_map(np.column_stack([p_map[:, :2], known]))
         points = place(site.frame, np.column_stack([geo[:, :2], p_map[:, 2]]))
         points[:, 4:] = p_map[:, :2]
-    rows = [_control_values(site, one, points[i]) for i, one in enumerate(site.control)]
+    in_map = map_heights(site.frame, points[:, :2], points[:, 2])
+    rows = [
+        {**_control_values(site, one, points[i]), "height_map": number(float(in_map[i]))}
+        for i, one in enumerate(site.control)
+    ]
     return Layer.of_rows(
         "control", "Control and check points", "Point", schemas.CONTROL_FIELDS, rows,
         Places.of_points(points),

@@ -10,6 +10,7 @@ import numpy as np
 
 from exports.site import schemas
 from exports.site.columns import Column, Layer, Places
+from exports.site.map_heights import map_heights
 from exports.site.schemas import ASSETS, ELLIPSES, Field, GeometryKind
 from exports.site.values import SiteValues
 from georef_gis.geodesy import MapFrame, geoid_undulation
@@ -108,6 +109,7 @@ def _first_places(frame: MapFrame, xy: Array, height: Array) -> dict[str, Column
         "lat_deg": Column.of("real", lonlat[:, 1]),
         "height_ellipsoidal_m": Column.of("real", height),
         "height_orthometric_m": Column.of("real", orthometric),
+        "height_map": Column.of("real", map_heights(frame, lonlat, height)),
     }
 
 

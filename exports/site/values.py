@@ -131,6 +131,7 @@ class SiteValues:
 
     def metadata(self) -> dict[str, str]:
         """What someone who has only the file needs to know, by name."""
+        from exports.site.map_heights import told_of_map_heights
         from georef_gis import __version__
 
         kinds = sorted({p.pose.kind for p in self.photos if p.pose})
@@ -147,6 +148,7 @@ class SiteValues:
             "heights": "height_ellipsoidal_m is above the WGS 84 ellipsoid, height_orthometric_m "
             "above the EGM96 geoid, height_above_ground_m above the ground; all in metres; "
             "height_kind says what the first two rest on",
+            "heights_of_map": told_of_map_heights(self.frame),
             "sigmas": "one standard deviation; sigma_u_m of the heights above ellipsoid and geoid, "
             "sigma_above_ground_m of that above the ground",
             "poses": ", ".join(kinds) or "none",

@@ -40,8 +40,8 @@ class DxfOptions(TableOptions):
     """Options of the DXF."""
 
     heights: Literal["orthometric", "ellipsoidal", "flat"] = p.choice(
-        "orthometric", title="Heights", help="z above EGM96 or the ellipsoid, in the unit of the "
-        "CRS as x and y are; flat = all at 0.",
+        "orthometric", title="Heights", help="z above the geoid of the CRS's vertical part; "
+        "without one EGM96; or above the ellipsoid. In the unit of x and y. flat = all at 0.",
     )  # fmt: skip
     labels: p.Flag = p.flag(True, title="Labels", help="Names as texts, on layers of their own.")
     text_height: p.Length = p.length(0.5, title="Height of labels", unit="m", gt=0.0, advanced=True)
@@ -85,7 +85,9 @@ class Dxf(TableExporter[DxfOptions]):
             write_about(site, target / "about.csv")
             (target / DRAWING).with_suffix(".prj").write_text(site.crs.to_wkt("WKT1_ESRI"), "utf-8")
         report = report_of(site, placed, warnings=warnings)
-        kind = {"orthometric": "orthometric (EGM96)", "flat": "none (2D)"}
+        part = site.frame.vertical
+        above = "EGM96" if part is None else f"{part.name}, geoid {part.geoid}"
+        kind = {"orthometric": f"orthometric ({above})", "flat": "none (2D)"}
         return ExportReport(
             crs=report.crs, height_kind=kind.get(options.heights, options.heights),
             features=report.features, warnings=report.warnings,
@@ -150,10 +152,18 @@ class _Drawing:
     def _heights(self, layer: Layer) -> Array:
         import numpy as np
 
+        from exports.site.map_heights import heights_above
+
         at = layer.places
         if self._options.heights == "flat" or not layer.solid.any():
             return np.zeros(len(at.xy))
-        z = at.height if self._options.heights == "ellipsoidal" else at.height_orthometric
+        frame = self._site.frame
+        if self._options.heights == "ellipsoidal":
+            z = at.height
+        elif frame.vertical is None:
+            z = at.height_orthometric
+        else:
+            z = heights_above(frame.vertical, frame, at.lonlat, at.height)
         return np.nan_to_num(z / self._unit)
 
     def _labels(self, layer: Layer) -> list[str]:

@@ -12,12 +12,16 @@ import rasterio
 import shapely
 from grid_cases import plane, write_tiff
 
+from exports.site.site import SiteLayers
+from exports.site.values import SiteControl
+from exports.tables.dxf import Dxf, DxfOptions
 from georef_gis.geodesy import CRS, Datum, MapFrame, Origin, map_crs, vertical_part
 from georef_gis.measure.surface.field import GroundField
 from georef_gis.measure.surface.raster import HeightReference, surface_profile, surface_tiles
 from georef_gis.model.grid import Grid
 from georef_gis.model.terrain import FlatTerrain
 from georef_gis.project import Project
+from georef_gis.project.asset_layers import AssetTable
 from georef_gis.rasters.writer import TiledWriter
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 from processing_algorithms.surface.given import raster_field
@@ -147,3 +151,58 @@ def test_what_heights_are_above_is_told_with_their_unit(
     reference = HeightReference.promised(kind, "egm96", part, metres=metres)  # type: ignore[arg-type]
     assert reference.told.endswith(told)
     assert reference.unit == 1.0
+
+
+def cones(frame: MapFrame) -> AssetTable:
+    """A cone at the origin, and one 30 m to the north of which no height is known."""
+    places = frame.map_from_enu(np.array([[0.0, 0.0, 0.0], [0.0, 30.0, 0.0]]))
+    places[1, 2] = np.nan
+    return AssetTable(
+        layer="asset_points", columns={"class": np.array(["cone", "cone"], object)},
+        offsets=np.arange(3), xy=places[:, :2].copy(), height=places[:, 2].copy(),
+        holes=np.zeros(2, np.int64),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("crs", "unit", "drawn"),
+    [
+        ("EPSG:6549+6360", US_SURVEY_FOOT, US_SURVEY_FOOT),
+        # a drawing has one unit, that of x and y
+        ("EPSG:6549+5703", 1.0, US_SURVEY_FOOT),
+        ("EPSG:32617+8228", INTERNATIONAL_FOOT, 1.0),
+    ],
+)
+def test_assets_have_the_heights_that_the_projects_crs_promises(
+    grids: Path, tmp_path: Path, crs: str, unit: float, drawn: float
+) -> None:
+    write_tiff(grids / GEOID18)
+    frame = MapFrame(ORIGIN, map_crs(crs))
+    point = SiteControl(name="P1", role="control", p_map=frame.map_from_enu(np.zeros(3)))
+    site = SiteLayers(
+        name="site", frame=frame, photos=(), footprints=(), cameras=(), control=(point,),
+        assets=(cones(frame),),
+    )  # fmt: skip
+    # m, by hand: H = h - N
+    wanted = LEVEL - float(plane(LAT, LON))
+    column = site.layer("asset_points").columns["height_map"].tolist()
+    assert column[0] * unit == pytest.approx(wanted, abs=1e-3)
+    assert column[1] is None
+    surveyed = site.layer("control").columns["height_map"].tolist()
+    assert surveyed == pytest.approx([wanted / unit], abs=1e-3)
+    assert "NAVD88" in site.metadata()["heights_of_map"]
+    path = tmp_path / "site.dxf"
+    report = Dxf().write_layers(site, [site.layer("asset_points")], path, DxfOptions(labels=False))
+    lines = path.read_text().split()
+    z = float(lines[lines.index("30", lines.index("POINT")) + 1])
+    assert z * drawn == pytest.approx(wanted, abs=1e-3)
+    assert report.height_kind == f"orthometric ({frame.vertical.name}, geoid geoid18)"
+
+
+def test_assets_of_a_map_without_heights_have_none_of_the_map() -> None:
+    frame = MapFrame(ORIGIN, map_crs("EPSG:6549"))
+    site = SiteLayers(
+        name="site", frame=frame, photos=(), footprints=(), cameras=(), assets=(cones(frame),)
+    )
+    assert site.layer("asset_points").columns["height_map"].tolist() == [None, None]
+    assert "no vertical part" in site.metadata()["heights_of_map"]
