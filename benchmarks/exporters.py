@@ -212,7 +212,8 @@ def measure(name: str, project: Path, folder: Path, service: str) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     suffixes = {"geopackage": ".gpkg", "geojson": ".geojson", "kml": ".kml", "dxf": ".dxf",
-                "filegdb": ".gdb", "floor": ".gpkg"}  # fmt: skip
+                "filegdb": ".gdb", "kmz": ".kmz", "light_kmz": ".kmz",
+                "floor": ".gpkg"}  # fmt: skip
     target = folder / f"assets{suffixes.get(name, '')}"
     words = [sys.executable, __file__, "--child", name, str(project), str(target), service]
     done = subprocess.run(words, capture_output=True, text=True, check=False)

@@ -10,10 +10,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self, cast
 
+from georef_gis.errors import ExportError
+
 # A fixed date: the same site gives the same file.
 _DATE = (1980, 1, 1, 0, 0, 0)
 # zlib's effort; more takes twice as long and saves a tenth of the bytes
 EFFORT = 1
+# Of a ZIP whose readers need not know ZIP64
+MOST_FILES, MOST_BYTES = 65_534, 2**32 - 2**24
 # bytes that ZIP adds per member, without its name
 _OVERHEAD = 98
 
@@ -58,6 +62,11 @@ class Spool:
             self._stream.truncate()
             del self._members[count:]
 
+    @property
+    def old_readers(self) -> bool:
+        """Whether readers of ZIP that know no ZIP64 can read a KMZ of these files."""
+        return len(self._members) < MOST_FILES and self.size < MOST_BYTES
+
     def files(self) -> Iterator[tuple[str, bytes]]:
         """Paths and contents, in order."""
         for path, offset, length in self._members:
@@ -87,10 +96,26 @@ class Counter:
 
 
 def write_zip(target: Path, write_document: Callable[[BinaryIO], None], spool: Spool) -> None:
-    """KMZ of a document and its files. Pictures are stored: they are packed already."""
+    """KMZ of a document and its files. Pictures are stored: they are packed already.
+
+    Without the marks of ZIP64, as long as it can: Google's own library of KML reads no such file.
+
+    Raises
+    ------
+    ExportError
+        If the document alone has 2 GB or more.
+    """
     with zipfile.ZipFile(target, "w", allowZip64=True) as archive:
-        with archive.open(_member("doc.kml"), "w", force_zip64=True) as stream:
-            write_document(cast(BinaryIO, stream))
+        try:
+            with archive.open(_member("doc.kml"), "w") as stream:
+                write_document(cast(BinaryIO, stream))
+        except RuntimeError as error:
+            if "too large" not in str(error):
+                raise
+            raise ExportError(
+                "doc.kml of the KMZ has 2 GB or more, which no viewer opens; export assets "
+                "alone by geopackage, or fewer photos"
+            ) from error
         for path, data in spool.files():
             archive.writestr(_member(path), data, compresslevel=EFFORT)
 

@@ -19,9 +19,10 @@ Colour = tuple[int, int, int]
 SIDE = 32
 # Pictures are drawn this many times as large and made smaller: smooth rims
 _FINE = 8
-# Red, green, blue that stand out from ground and from each other (Okabe and Ito 2008, brightened)
+# Red, green, blue that stand out from ground, footprints and each other (Okabe and Ito 2008,
+# brightened; violet for their sky blue, which footprints have)
 COLOURS: tuple[Colour, ...] = (
-    (255, 176, 0), (86, 196, 255), (0, 214, 143), (255, 240, 70),
+    (255, 176, 0), (190, 120, 255), (0, 214, 143), (255, 240, 70),
     (70, 130, 255), (255, 94, 20), (255, 130, 200), (225, 225, 225),
 )  # fmt: skip
 FORMS = ("circle", "square", "triangle", "diamond")

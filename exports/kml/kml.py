@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmlOptions, KmzOptions, warnings_of
+from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmlOptions, KmzOptions, told_of
 from exports.site.schemas import ASSETS
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import Exporter, ExportReport, Feedback, LayerSource
@@ -34,7 +34,7 @@ class Kmz(Exporter[KmzOptions]):
     in_run = True
     needs = ("photos", "poses", "footprints", "mosaic")
     wants = ("adjusted", "control", "accuracy", "trajectory")
-    version = "2"
+    version = "3"
 
     def write(
         self, source: LayerSource, target: Path, options: KmzOptions, feedback: Feedback
@@ -96,7 +96,8 @@ def write_kml(
         raise ExportError("tie points are too many for KML; use GeoPackage")
     if set(names) <= {"control", *ASSETS} and not any(len(x) for x in layers.values()):
         raise ExportError(site.why_empty(names))
-    warnings = [*site.warnings, *warnings_of(layers)]
+    layers, told_layers = told_of(layers)
+    warnings = [*site.warnings, *told_layers]
     flown: list[str] = []
     if "track" in layers:
         found, told = flights(project, site.layers["photos"])

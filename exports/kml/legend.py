@@ -84,12 +84,18 @@ def entries_of(looks: Sequence[ClassLook], signs: Sequence[tuple[str, str]]) -> 
     """
     out = [Entry(sign=_sign(kind), text=text) for kind, text in signs]
     for look in looks[:MOST_CLASSES]:
-        point = "asset_points" in look.geometries
-        sign = icon(look.form, look.colour) if point else _frame(look.colour, inside=70)
-        out.append(Entry(sign=sign, text=look.name or "(no class)"))
+        out.append(Entry(sign=_sign_of(look), text=look.name or "(no class)"))
     if len(looks) > MOST_CLASSES:
         out.append(Entry(sign=None, text=f"and {len(looks) - MOST_CLASSES} classes more"))
     return out
+
+
+def _sign_of(look: ClassLook) -> Picture:
+    if "asset_points" in look.geometries:
+        return icon(look.form, look.colour)
+    if "asset_lines" in look.geometries:
+        return _line(look.colour)
+    return _frame(look.colour, inside=70)
 
 
 def _sign(kind: str) -> Picture | None:

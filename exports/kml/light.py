@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exports.kml.files import Counter, Spool, write_zip
-from exports.kml.options import VECTORS, listed, warnings_of
+from exports.kml.options import VECTORS, listed, told_of
 from exports.kml.overlay import sheets
 from exports.kml.package import Package, open_mosaic
 from exports.kml.photos import pinholes
-from exports.kml.placemarks import slimmed, taken
+from exports.kml.selection import slimmed, taken
 from exports.kml.site_kml import Shown, write_document
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import ExportReport, Feedback, check_cancelled
@@ -66,19 +66,20 @@ def write_light(
     """Light KMZ of a site; see `light_kmz.write_light_kmz`."""
     limit = options.max_mb * 1e6
     most = options.features
+    whole, unfit = told_of({name: site.layers[name] for name in VECTORS})
     while most >= 1:
         check_cancelled(feedback)
         with Spool(target.parent) as spool:
-            layers, told = fewer({name: site.layers[name] for name in VECTORS}, most)
+            layers, told = fewer(whole, most)
             package = Package(site=site, layers=layers, spool=spool, feedback=feedback)
-            package.warnings += [*site.warnings, *warnings_of(layers), *told]
+            package.warnings += [*site.warnings, *unfit, *told]
             work = _Light(package=package, limit=limit, most=most, project=project)
             if work.fits() and work.write(target):
                 feedback.progress(1.0, "zipped")
                 return package.report()
         most //= 4
     raise ExportError(
-        f"{target.name}: not even one feature of each kind fits into max_mb = {options.max_mb:g}; "
+        f"not even one feature of each kind fits into a KMZ of max_mb = {options.max_mb:g}; "
         "allow more"
     )
 

@@ -28,6 +28,7 @@ class LightKmz(Exporter[LightKmzOptions]):
     in_run = True
     needs = ("photos", "poses", "footprints", "mosaic")
     wants = ("adjusted", "control", "accuracy", "trajectory")
+    version = "2"
 
     def write(
         self, source: LayerSource, target: Path, options: LightKmzOptions, feedback: Feedback

@@ -68,14 +68,20 @@ class LightKmzOptions(p.Parameters):
     )  # fmt: skip
 
 
-def warnings_of(layers: Mapping[str, Layer]) -> list[str]:
-    """What is to be said of texts that KML cannot hold as they are."""
-    from exports.kml.placemarks import unfit_names
+def told_of(layers: Mapping[str, Layer]) -> tuple[dict[str, Layer], list[str]]:
+    """What of layers KML can show, and what is to be said of what it cannot hold as it is."""
+    from exports.kml.selection import placed, unfit_names
 
-    unfit = unfit_names(layers)
-    if not unfit:
-        return []
-    return [listed("control characters, which KML cannot hold, are written as \ufffd in", unfit)]
+    shown, lost = placed(layers)
+    told = []
+    if lost:
+        what = "left out, as the project's CRS gives their place no longitude and latitude"
+        told.append(listed(what, lost))
+    unfit = unfit_names(shown)
+    if unfit:
+        what = "control characters, which KML cannot hold, are written as \ufffd in"
+        told.append(listed(what, unfit))
+    return shown, told
 
 
 def listed(what: str, names: list[str] | tuple[str, ...]) -> str:

@@ -24,6 +24,9 @@ SMALLEST, LARGEST = 128, 2048
 GROWTH = 3.7
 # Levels built to see how large a pyramid becomes.
 PROBE_DEPTH = 3
+# px of the mosaic that pictures side by side share: where they only touch, viewers leave a line
+# between them, as on the screen a pixel of it is in neither
+SHARED = 2
 # px; up to this side one picture will do
 SINGLE_SIDE = 2048
 # Folders of the one pyramid, or of the two on both sides of the 180th meridian
@@ -223,7 +226,7 @@ def sheets(
     Parameters
     ----------
     sheet : px
-        Largest side of one picture.
+        Largest side of one picture, without the `SHARED` pixels of its neighbours.
     small
         Hard rims, a third of the bytes.
     """
@@ -237,7 +240,9 @@ def sheets(
         grid = base.coarser(factor)
         for row in range(0, grid.height, sheet):
             for col in range(0, grid.width, sheet):
-                size = min(sheet, grid.width - col), min(sheet, grid.height - row)
+                size = (
+                    min(sheet + SHARED, grid.width - col), min(sheet + SHARED, grid.height - row)
+                )  # fmt: skip
                 block = picture.block(grid, col, row, *size)
                 if block is None:
                     continue

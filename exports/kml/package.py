@@ -22,7 +22,7 @@ from exports.kml.icons import (
     styles_by_class,
 )
 from exports.kml.legend import LEGEND, STATEMENT, entries_of, legend, statement
-from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmzOptions, listed, warnings_of
+from exports.kml.options import CRS, HEIGHT_KIND, VECTORS, KmzOptions, listed, told_of
 from exports.kml.overlay import (
     FOLDERS,
     SINGLE_SIDE,
@@ -163,16 +163,21 @@ def write_package(
     project: Project | None,
 ) -> ExportReport:
     """KMZ of a site; see `kml.write_kmz`."""
-    layers = {name: site.layers[name] for name in VECTORS}
+    layers, told = told_of({name: site.layers[name] for name in VECTORS})
     with Spool(target.parent) as spool:
         package = Package(site=site, layers=layers, spool=spool, feedback=feedback)
-        package.warnings += [*site.warnings, *warnings_of(layers)]
+        package.warnings += [*site.warnings, *told]
         shown = _shown(package, options, project)
-        rest = _rest(site, shown, spool, options, target)
+        rest = _rest(site, shown, spool, options)
         overlay = _overlay(package, rest, options)
         check_cancelled(feedback)
         whole = partial(write_document, site=site, shown=replace(shown, overlay=overlay))
         write_zip(target, whole, spool)
+        if not spool.old_readers:
+            package.warnings.append(
+                "more than 65534 files or 4 GB: viewers that know no ZIP64 do not open such a KMZ, "
+                "and Google Earth may be one; set max_mb or max_zoom"
+            )
         feedback.progress(1.0, "zipped")
         return package.report()
 
@@ -190,9 +195,7 @@ def _shown(package: Package, options: KmzOptions, project: Project | None) -> Sh
     )  # fmt: skip
 
 
-def _rest(
-    site: SiteLayers, shown: Shown, spool: Spool, options: KmzOptions, target: Path
-) -> float | None:
+def _rest(site: SiteLayers, shown: Shown, spool: Spool, options: KmzOptions) -> float | None:
     """Bytes that are left for the mosaic; None = as many as it likes.
 
     Raises
@@ -205,7 +208,7 @@ def _rest(
     size = spool.size + packed_size(site, shown)
     if size > options.max_mb * 1e6:
         raise ExportError(
-            f"{target.name}: {size / 1e6:.1f} MB without the mosaic, more than max_mb = "
+            f"the KMZ has {size / 1e6:.1f} MB without the mosaic, more than max_mb = "
             f"{options.max_mb:g}; leave out the thumbnails or allow more"
         )
     return options.max_mb * 1e6 - size
@@ -248,10 +251,7 @@ def open_mosaic(package: Package) -> MosaicPicture | None:
         package.warnings.append(f"the mosaic is left out: {error}")
         return None
     if len(picture.grid.parted()) > 1:
-        package.warnings.append(
-            "the site crosses the 180th meridian: the mosaic is written as two; lines and areas "
-            "across it are drawn around the globe by some viewers"
-        )
+        package.warnings.append("the site crosses the 180th meridian: the mosaic is written as two")
     if picture.narrowing > NARROWING:
         package.warnings.append(
             f"so near to a pole the mosaic's pixels are {picture.narrowing:.1f} times as wide on "

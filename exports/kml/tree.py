@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from exports.kml import elements as k
 from exports.kml.icons import ClassLook
-from exports.kml.placemarks import LayerText, taken
+from exports.kml.placemarks import LayerText
+from exports.kml.selection import taken
 from exports.site.columns import Layer
 
 # A layer with more features is written as a tree: a viewer shows so many without halting.
@@ -45,11 +46,15 @@ class FeatureTree:
     more_styles: tuple[k.Element, ...] = ()
     files: int = 0
     _lonlat: NDArray[np.float64] = field(init=False, repr=False)
+    _sides: NDArray[np.float64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Take the first vertex of every feature for its place."""
+        """Take the first vertex of every feature for its place, all of them for its extent."""
         places = self.layer.places
         self._lonlat = np.asarray(places.lonlat[places.firsts])
+        self._sides = np.hstack(
+            [side.reduceat(places.lonlat, places.firsts) for side in (np.minimum, np.maximum)]
+        )
 
     def write(self) -> k.Element:
         """Write all files; gives the folder of the site's document that leads to them."""
@@ -63,7 +68,7 @@ class FeatureTree:
     def _node(self, index: NDArray[np.intp], depth: int) -> tuple[str, dict[str, float]]:
         """Write a file and all below it; gives its path and the box of all that is in it."""
         own, rest = _sample(index) if depth < DEEPEST else (index, index[:0])
-        here = _box(self._lonlat[index])
+        here = _box(self._sides[index])
         children = [self._node(part, depth + 1) for part in self._quarters(rest)]
         name = f"{self.files}.kml"
         self.files += 1
@@ -118,8 +123,8 @@ def _sample(index: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]
     return index[chosen], index[~chosen]
 
 
-def _box(lonlat: NDArray[np.float64]) -> dict[str, float]:
-    (west, south), (east, north) = lonlat.min(axis=0), lonlat.max(axis=0)
+def _box(sides: NDArray[np.float64]) -> dict[str, float]:
+    (west, south), (east, north) = sides[:, :2].min(axis=0), sides[:, 2:].max(axis=0)
     x, y = (max(0.0, (LEAST_SIDE - side) / 2.0) for side in (east - west, north - south))
     return {
         "north": min(float(north + y), 90.0),

@@ -13,7 +13,7 @@ from georef_gis.project.asset_layers import AssetTable
 CLASSES = ("cone", "drum", "sign", "barrier", "arrow board")
 
 
-def _table(layer: str, columns: dict[str, object], parts: Sequence[np.ndarray]) -> AssetTable:
+def table_of(layer: str, columns: dict[str, object], parts: Sequence[np.ndarray]) -> AssetTable:
     offsets = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
     points = np.vstack(parts) if parts else np.zeros((0, 3))
     return AssetTable(
@@ -64,13 +64,13 @@ def asset_tables(
     line = frame.map_from_enu(np.array([[0.0, 0, 0], [30, 5, 0], [60, 0, 0]]))
     ring = np.array([[0.0, 0, 0], [20, 0, 0], [20, 10, 0], [0, 10, 0], [0, 0, 0]])
     tables = [
-        _table("asset_points", asset_columns(count, names=names), list(p_map[:, None])),
-        _table("asset_lines", asset_columns(1, start=count), [line]),
-        _table("asset_polygons", asset_columns(1, start=count + 1), [frame.map_from_enu(ring)]),
+        table_of("asset_points", asset_columns(count, names=names), list(p_map[:, None])),
+        table_of("asset_lines", asset_columns(1, start=count), [line]),
+        table_of("asset_polygons", asset_columns(1, start=count + 1), [frame.map_from_enu(ring)]),
     ]
     if ellipses:
         angle = np.linspace(0.0, 2.0 * np.pi, 25)
         around = np.column_stack([0.08 * np.cos(angle), 0.05 * np.sin(angle), 0.0 * angle])
         parts = list(p_map[:, None, :] + around)
-        tables.append(_table("asset_ellipses", asset_columns(count, names=names), parts))
+        tables.append(table_of("asset_ellipses", asset_columns(count, names=names), parts))
     return tuple(tables)

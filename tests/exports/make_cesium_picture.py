@@ -20,8 +20,9 @@ PICTURE = Path(__file__).resolve().parents[2] / "docs/pictures/google_earth_cesi
 SIZE = (1100, 760)
 # Width of what is shown, of the site's own
 WIDTH = 1.9
-# m; so far away what is drawn at its height stands where it is on the ground
-HEIGHT = 40_000.0
+# m; so far away what is drawn at its height stands where it is on the ground, to some pixels. From
+# more than 12 km a dark line shows where two tiles of Cesium's own globe meet.
+HEIGHT = 10_000.0
 # From there the depth of a point and that of the mosaic below it are the same number.
 POINTS_IN_FRONT = """for (const e of window.source.entities.values)
     if (e.billboard) e.billboard.disableDepthTestDistance = Number.POSITIVE_INFINITY;"""

@@ -18,6 +18,7 @@ from lxml import etree
 from pyproj import Transformer
 from site_cases import NASTY, dot_places, make_frame, make_site, write_mosaic, write_photos
 
+from exports.kml import files
 from exports.kml.kml import write_kml, write_kmz
 from exports.kml.options import KmzOptions
 from georef_gis.errors import Cancelled, ExportError
@@ -67,6 +68,27 @@ def deepest_tiles(path: Path) -> list[tuple[dict[str, float], np.ndarray]]:
 
 def test_every_file_is_valid_whole_and_linked(kmz):
     assert faults_of(kmz[0]) == []
+
+
+def test_googles_library_of_kml_opens_the_kmz_itself(kmz):
+    """GDAL's LIBKML is that library: it reads no ZIP64."""
+    found = pyogrio.read_dataframe(kmz[0], layer="Photos")
+    assert found["Name"].tolist() == ["p1.jpg", NASTY, "missing.jpg"]
+    with zipfile.ZipFile(kmz[0]) as archive:
+        assert {member.extract_version for member in archive.infolist()} == {20}
+
+
+def test_a_document_that_no_kmz_holds_is_refused(site, tmp_path, monkeypatch):
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", 5000)
+    with pytest.raises(ExportError, match=r"^doc\.kml of the KMZ has 2 GB or more"):
+        write_kmz(site, tmp_path / "s.kmz", KmzOptions(), CollectingFeedback())
+
+
+def test_more_files_than_old_readers_of_zip_know_are_told(site, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "MOST_FILES", 3)
+    feedback = CollectingFeedback()
+    write_kmz(site, tmp_path / "s.kmz", KmzOptions(), feedback)
+    assert any("ZIP64" in warning and "max_zoom" in warning for warning in feedback.warnings)
 
 
 def test_levels_of_detail_follow_the_pyramid(kmz):

@@ -6,6 +6,7 @@ import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,13 +14,17 @@ import pyogrio
 import pytest
 import rasterio
 from kml_checks import K, documents, faults_of
-from kmz_assets import CLASSES, asset_tables
+from kmz_assets import CLASSES, asset_columns, asset_tables, table_of
 from lxml import etree
 from site_cases import ORIGIN, dot_places, make_site, write_mosaic
 
+from exports.kml.icons import COLOURS, ClassLook
 from exports.kml.kml import write_kml, write_kmz
-from exports.kml.options import KmzOptions
-from exports.kml.tree import MOST_AT_ONCE
+from exports.kml.legend import entries_of
+from exports.kml.light_kmz import write_light_kmz
+from exports.kml.options import KmzOptions, LightKmzOptions
+from exports.kml.tree import MOST_AT_ONCE, FeatureTree
+from exports.site.schemas import ASSETS
 from exports.site.site import SiteLayers
 from georef_gis.errors import ExportError
 from georef_gis.geodesy import MapFrame, parse_crs
@@ -145,6 +150,65 @@ def test_thousands_are_files_that_load_as_one_comes_closer(tmp_path):
     assert len(placemarks(path, "asset_lines")) == 1
 
 
+def test_files_of_long_lines_load_wherever_one_comes_closer_to_them(tmp_path):
+    site = make_site(tmp_path)
+    start = np.random.default_rng(6).uniform(-300, 300, (800, 3)) * [1, 1, 0]
+    parts = list(site.frame.map_from_enu(start[:, None] + [[0, 0, 0], [900, 500, 0]]))
+    table = table_of("asset_lines", asset_columns(len(parts)), parts)
+    files: dict[str, bytes] = {}
+    layer = replace(site, assets=(table,)).layers["asset_lines"]
+    FeatureTree(
+        layer=layer, sink=SimpleNamespace(add=files.__setitem__), styles={}, looks=()
+    ).write()
+    assert len(files) > 1
+    for data in files.values():
+        root = etree.fromstring(data)
+        box = root.find(f"{K}Document/{K}Region/{K}LatLonAltBox")
+        sides = [float(box.findtext(K + side)) for side in ("west", "south", "east", "north")]
+        at = np.array(
+            [v.split(",") for e in root.iter(K + "coordinates") for v in e.text.split()], float
+        )
+        # deg; vertices have a decimal less
+        assert (at.min(axis=0) >= np.array(sides[:2]) - 1e-9).all()
+        assert (at.max(axis=0) <= np.array(sides[2:]) + 1e-9).all()
+
+
+def test_an_asset_where_the_crs_does_not_hold_is_left_out_and_named(tmp_path):
+    site = make_site(tmp_path)
+    points, *others = asset_tables(site.frame, 4)
+    points.xy[2] = 1e12
+    for write in (write_kmz, write_light_kmz):
+        feedback = CollectingFeedback()
+        options = KmzOptions(thumbnails=False) if write is write_kmz else LightKmzOptions()
+        write(replace(site, assets=(points, *others)), tmp_path / "s.kmz", options, feedback)
+        assert faults_of(tmp_path / "s.kmz") == []
+        marks = placemarks(tmp_path / "s.kmz", "asset_points")
+        assert [m.findtext(K + "name") for m in marks] == ["asset 0", "asset 1", "asset 3"]
+        told = [w for w in feedback.warnings if "longitude" in w]
+        assert len(told) == 1
+        assert told[0].endswith(": asset 2")
+
+
+def test_lines_and_areas_are_cut_at_the_180th_meridian(tmp_path):
+    # 4.3 m west of it: the line of 60 m and the area of 20 x 10 m lie on both sides
+    frame = MapFrame(replace(ORIGIN, lon=math.radians(179.99995)), parse_crs("EPSG:32601"))
+    site = replace(make_site(tmp_path), frame=frame, assets=asset_tables(frame, 1), photos=(),
+                   footprints=())  # fmt: skip
+    write_kml(site, tmp_path / "s.kml", ASSETS)
+    for layer, kind in (("Assets, lines", "LineString"), ("Assets, areas", "Polygon")):
+        (shape,) = pyogrio.read_dataframe(tmp_path / "s.kml", layer=layer).geometry
+        assert shape.geom_type in (f"Multi{kind}", "GeometryCollection")
+        west, east = shape.geoms
+        assert {west.geom_type, east.geom_type} == {kind}
+        # one side ends at +180, the other begins at -180
+        assert west.bounds[2] == 180.0
+        assert east.bounds[0] == -180.0
+        metres = math.cos(ORIGIN.lat) * 111_320.0
+        wide = (west.bounds[2] - west.bounds[0] + east.bounds[2] - east.bounds[0]) * metres
+        # the map's scale, and the sphere for the ellipsoid
+        assert wide == pytest.approx({"LineString": 60.0, "Polygon": 20.0}[kind], rel=5e-3)
+
+
 def test_nothing_to_show_makes_no_folders_and_no_faults(tmp_path):
     site = replace(make_site(tmp_path), photos=(), footprints=())
     path, warnings = export(site, tmp_path)
@@ -179,6 +243,20 @@ def test_legend_and_statement_can_be_read(tmp_path):
     root = dict(documents(path))["doc.kml"]
     names = [s.findtext(K + "name") for s in root.iter(K + "ScreenOverlay")]
     assert names == ["Legend", "Accuracy statement"]
+
+
+def test_the_legend_draws_each_class_as_it_is_drawn_and_not_like_a_footprint():
+    looks = [
+        ClassLook(name=name, number=i, geometries=(name,))
+        for i, name in enumerate(("asset_points", "asset_lines", "asset_polygons"), start=1)
+    ]
+    point, line, area = (entry.sign for entry in entries_of(looks, ()))
+    footprint = entries_of((), [("footprint", "")])[0].sign
+    corner = (6, 3)  # of the frame of an area
+    assert area[corner][3] == footprint[corner][3] == 255
+    assert line[corner][3] == point[corner][3] == 0
+    blue = footprint[corner][2::-1].astype(float)
+    assert min(np.linalg.norm(np.array(colour) - blue) for colour in COLOURS) > 60.0
 
 
 @pytest.mark.parametrize(

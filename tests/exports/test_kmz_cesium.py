@@ -17,6 +17,9 @@ from exports.kml.light_kmz import write_light_kmz
 from exports.kml.options import LightKmzOptions
 from georef_gis.toolbox import CollectingFeedback
 
+# As the page of `cesium_cases` has it
+GROUND_BGR = (0x3A, 0x40, 0x33)
+
 
 def test_cesium_shows_mosaic_photos_flight_and_assets_in_place(tmp_path):
     write_photos(tmp_path)
@@ -40,7 +43,10 @@ def test_cesium_shows_mosaic_photos_flight_and_assets_in_place(tmp_path):
         shot = cv2.imdecode(np.frombuffer(seen(page), np.uint8), 1)
         at = page.evaluate("window.placeAt('2026-05-01T12:00:02Z')")
         off = _dots_off(page, shot, mosaic, frame)
+        lines = [_line_seen(page, view) for view in _views(west, south, east, north)]
     assert asked == []
+    # px; no line of the ground below where pictures of the mosaic meet
+    assert max(lines) < 30
     # px of the screen, 2 px of the mosaic each: dots of 3 px
     assert len(off) > 25
     assert np.abs(np.median(off, axis=0)).max() < 0.35
@@ -53,6 +59,31 @@ def _around(boxes: list[list[float]]) -> list[float]:
     west, south = np.min([b[:2] for b in boxes], axis=0)
     east, north = np.max([b[2:] for b in boxes], axis=0)
     return [float(x) for x in (west, south, east, north)]
+
+
+def _views(west: float, south: float, east: float, north: float) -> list[list[float]]:
+    """Views around the middle, nearer and farther: a line shows in some of them only."""
+    rng = np.random.default_rng(1)
+    views = []
+    for _ in range(6):
+        x = west + (east - west) * rng.uniform(0.4, 0.6)
+        y = south + (north - south) * rng.uniform(0.4, 0.6)
+        half = rng.uniform(0.04, 0.5)
+        dx, dy = half * (east - west), half * (north - south)
+        views.append([float(v) for v in (x - dx, y - dy, x + dx, y + dy)])
+    return views
+
+
+def _line_seen(page: object, view: list[float]) -> int:
+    """Pixels of the longest upright or level line that is thin and of the ground's colour."""
+    page.evaluate("window.look({}, {}, {}, {})".format(*view))
+    for _ in range(3):
+        page.evaluate("viewer.scene.render()")
+    shot = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), 1)
+    ground = np.abs(shot.astype(int) - GROUND_BGR).max(axis=2) < 8
+    upright = ground[:, 2:-2] & ~ground[:, :-4] & ~ground[:, 4:]
+    level = ground[2:-2] & ~ground[:-4] & ~ground[4:]
+    return int(max(upright.sum(axis=0).max(), level.sum(axis=1).max()))
 
 
 def _dots_off(page: object, shot: np.ndarray, mosaic: Path, frame: object) -> np.ndarray:

@@ -17,6 +17,7 @@ from site_cases import make_frame, make_site, write_mosaic, write_photos
 from exports.kml.light import fewer, shares
 from exports.kml.light_kmz import write_light_kmz
 from exports.kml.options import LightKmzOptions
+from exports.kml.overlay import SHARED
 from exports.site.site import SiteLayers
 from georef_gis.errors import ExportError
 from georef_gis.toolbox import CollectingFeedback
@@ -61,6 +62,27 @@ def test_one_photo_and_a_mosaic_fit_without_losing_anything(tmp_path):
     assert list(roots["doc.kml"].iter(K + "NetworkLink")) == []
     assert list(roots["doc.kml"].iter(K + "GroundOverlay")) != []
     assert list(roots["doc.kml"].iter(K + "PhotoOverlay")) == []
+
+
+def test_pictures_side_by_side_show_the_same_where_they_meet(tmp_path):
+    mosaic = write_mosaic(tmp_path / "m.tif", make_frame("EPSG:32617"), width=1000, height=900)
+    path, _ = export(make_site(tmp_path, mosaic=mosaic), tmp_path)
+    pictures = []
+    with zipfile.ZipFile(path) as archive:
+        for overlay in dict(documents(path))["doc.kml"].iter(K + "GroundOverlay"):
+            data = np.frombuffer(archive.read(overlay.findtext(f".//{K}href")), np.uint8)
+            box = overlay.find(K + "LatLonBox")
+            sides = [float(box.findtext(K + s)) for s in ("west", "south", "east", "north")]
+            pictures.append((cv2.imdecode(data, cv2.IMREAD_UNCHANGED), *sides))
+    left, right, below, _ = pictures
+    assert left[0].shape[:2] == (514, 514)
+    across, up = (left[3] - left[1]) / 514, (left[4] - left[2]) / 514
+    # px; where they lie by their boxes of ten decimals
+    assert (left[3] - right[1]) / across == pytest.approx(SHARED, abs=1e-3)
+    assert (below[4] - left[2]) / up == pytest.approx(SHARED, abs=1e-3)
+    # PNG with all its colours: the very same pixels
+    assert np.array_equal(left[0][:, -SHARED:], right[0][:, :SHARED])
+    assert np.array_equal(left[0][-SHARED:], below[0][:SHARED])
 
 
 @pytest.mark.parametrize("max_mb", [10.0, 1.0, 0.25])
