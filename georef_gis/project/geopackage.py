@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Iterable
+from pathlib import Path
 
 from georef_gis.project.geometry import from_blob, to_blob
 from georef_gis.project.schema import Table
@@ -54,6 +55,21 @@ REQUIRED_SRS = (
     ("Undefined geographic SRS", 0, "NONE", 0, "undefined", "undefined geographic"),
     ("WGS 84 geodetic", 4326, "EPSG", 4326, WGS84, "longitude/latitude on WGS 84"),
 )
+
+
+def forget_journals(path: Path) -> None:
+    """Remove the journals beside a database that is about to be replaced.
+
+    SQLite knows them by their names alone: what a GIS that has the old file open, or was killed,
+    left in them would be played into the new one.
+
+    Raises
+    ------
+    OSError
+        If one cannot be removed, as on Windows while another program has it open.
+    """
+    for ending in ("-wal", "-shm", "-journal"):
+        path.with_name(f"{path.name}{ending}").unlink(missing_ok=True)
 
 
 def table_names(connection: sqlite3.Connection) -> set[str]:

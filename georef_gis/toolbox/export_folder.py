@@ -40,11 +40,13 @@ def _foreign(folder: Path, exporter: str) -> str:
     except (OSError, ValueError, KeyError, TypeError):
         listed = set()
     names = (path.relative_to(folder).as_posix() for path in sorted(_leaves(folder)))
-    return next(
-        (f"holds {name}, which is not of an earlier export here and would be lost"
-         for name in names if name not in listed),
-        "",
-    )  # fmt: skip
+    other = next((name for name in names if name not in listed), "")
+    if other.endswith(".lock"):
+        # ArcGIS keeps one in a geodatabase, and beside a shapefile, as long as it is open
+        return f"holds {other}, by which another program has it open: close it there"
+    return (
+        f"holds {other}, which is not of an earlier export here and would be lost" if other else ""
+    )
 
 
 def _leaves(folder: Path) -> list[Path]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args, get
 from pydantic import create_model
 
 from georef_gis.errors import ExportError, InputError
+from georef_gis.project.geopackage import forget_journals
 from georef_gis.toolbox import parameters as p
 from georef_gis.toolbox.algorithm import Algorithm, Output, Result
 from georef_gis.toolbox.context import Context, Feedback
@@ -36,6 +37,8 @@ LAYER_KINDS: dict[str, str] = {
     "orthos": "raster",
 }
 RASTER_SUFFIXES = (".tif", ".tiff", ".vrt")
+# Files that SQLite writes
+_DATABASES = (".gpkg", ".mbtiles")
 VECTOR_SUFFIXES = (".gpkg", ".geojson", ".fgb", ".shp")
 
 O = TypeVar("O", bound=p.Parameters)  # noqa: E741
@@ -261,6 +264,8 @@ def _write_safely(
         elif target.is_dir():
             raise ExportError(f"{target}: is a folder; give the name of a file in it")
         else:
+            if target.suffix in _DATABASES:
+                forget_journals(target)
             os.replace(part, target)
     except OSError as error:
         reason = error.strerror or str(error)

@@ -6,6 +6,7 @@ import json
 import os
 import sqlite3
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,6 +189,43 @@ def test_geopackage_that_another_program_has_open_is_replaced_as_a_whole(
     with sqlite3.connect(target) as again:
         assert again.execute("SELECT count(*) FROM asset_points").fetchone() == (13,)
     again.close()
+
+
+@pytest.mark.parametrize("mode", ["wal", "delete"])
+def test_journal_of_the_older_file_is_not_played_into_the_new_one(
+    project, monkeypatch, tmp_path, mode
+) -> None:
+    """SQLite knows journals by their names: those of a GIS that has the old file open, too."""
+    use(monkeypatch, cases.format_site(tmp_path))
+    target = tmp_path / "out.gpkg"
+    export(project, "geopackage", target)
+    with closing(sqlite3.connect(target, isolation_level=None)) as gis:
+        gis.execute(f"PRAGMA journal_mode = {mode}")
+        # a page that is written before the end of the transaction, as a large edit does
+        gis.execute("PRAGMA cache_size = 1")
+        gis.execute("BEGIN IMMEDIATE")
+        gis.execute("CREATE TABLE edit AS SELECT randomblob(9000) FROM asset_points")
+        gis.execute("COMMIT" if mode == "wal" else "SELECT 1")
+        export(project, "geopackage", target)
+        assert [p.name for p in tmp_path.iterdir() if p.name.startswith("out")] == ["out.gpkg"]
+        with closing(sqlite3.connect(target)) as again:
+            assert again.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+            assert "edit" not in {
+                name for (name,) in again.execute("SELECT name FROM sqlite_master")
+            }
+        # who has it open goes on with that one
+        assert gis.execute("SELECT count(*) FROM edit").fetchone() == (13,)
+    assert pyogrio.read_info(target, layer="asset_points")["features"] == 13
+
+
+@pytest.mark.parametrize("name", ["filegdb", "shapefile"])
+def test_lock_of_arcgis_is_told_as_one(project, monkeypatch, tmp_path, name) -> None:
+    use(monkeypatch, cases.format_site(tmp_path))
+    target = tmp_path / f"out{FILES[name]}"
+    export(project, name, target)
+    (target / "_gdb.HOST.1234.5678.sr.lock").touch()
+    with pytest.raises(ExportError, match=r"sr\.lock, by which another program has it open: close"):
+        export(project, name, target)
 
 
 # -- the antimeridian ------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from urllib.parse import quote
 
 from georef_gis.app.batch.process import Outcome
 from georef_gis.errors import ExportError, GeorefError
+from georef_gis.project.geopackage import forget_journals
 from georef_gis.project.spreadsheet import guarded
 from georef_gis.project.summary import SiteSummary
 from georef_gis.project.summary_layer import write_summary_layer
@@ -107,6 +108,8 @@ def write_tables(rows: Sequence[Row], folder: Path) -> list[Path]:
         part = folder / f".{os.getpid()}.{name}.part"
         try:
             _write(name, rows, part)
+            if name == LAYER:
+                forget_journals(folder / name)
             os.replace(part, folder / name)
         except (OSError, GeorefError) as error:
             reason = getattr(error, "strerror", None) or str(error)
