@@ -43,7 +43,7 @@ class Drawn:
 
 def drawn(
     kind: Kind,
-    file: Path | None,
+    file: str | None,
     corners: Sequence[MapPoint],
     crs: CRS,
     *,
@@ -53,13 +53,15 @@ def drawn(
 
     Parameters
     ----------
+    file
+        Or one of its layers, ``file|layername=name``, for which `layer` is another spelling.
     crs
         Wanted; a horizontal one. That of corners which name none.
 
     Raises
     ------
     InputError
-        If both or neither are given, or the file holds no such shape.
+        If both or neither are given, the file holds no such shape, or two layers are named.
     CrsError
         If a CRS is unknown, or the shape lies where the wanted one does not hold.
     """
@@ -67,8 +69,31 @@ def drawn(
     if (file is None) == (not corners):
         raise InputError(f"give {what} by a file or by its corners, not both", field=kind)
     if file is not None:
-        return _of_file(kind, file, layer, crs)
+        path, named = layer_file(file, layer, field=kind)
+        return _of_file(kind, path, named, crs)
     return [Drawn(name=kind, shape=_of_corners(kind, corners, crs))]
+
+
+def layer_file(given: str, layer: str | None, *, field: str) -> tuple[Path, str | None]:
+    """File of a layer as given, and the name of the layer if one is told there or beside it.
+
+    Raises
+    ------
+    InputError
+        If it is told twice and not the same, or the text asks for more than a layer.
+    """
+    from georef_gis.toolbox.values import LayerFile
+
+    try:
+        one = LayerFile.parse(given)
+    except ValueError as error:
+        raise InputError(str(error), field=field) from error
+    if layer is not None and one.layer not in (None, layer):
+        raise InputError(
+            f"{given} names the layer '{one.layer}' and --layer '{layer}'; leave out one of them",
+            field="layer",
+        )
+    return one.path, layer or one.layer
 
 
 # -- corners -----------------------------------------------------------------------------------

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from georef_gis.project import Project
 
 Box = tuple[float, float, float, float]
-# Longest text of parameters and of results of a step
+# Longest text of parameters and of results of a step, and what of those is told elsewhere
 _MOST_LETTERS = 800
+_NOT_FIGURES = ("products", "outputs", "doubts", "statement")
 # m, to which the formats of features write places (docs/formats.md)
 _VERTEX_STEP = 1e-4
 
@@ -302,7 +303,7 @@ def _step(run: Mapping[str, Any]) -> Step:
     parts = [f"{run['tool']} ({told})", f"parameters {_short(run['parameters'] or {})}"]
     summary = run["summary"]
     if isinstance(summary, Mapping):
-        plain = {k: v for k, v in summary.items() if k not in ("products", "doubts", "statement")}
+        plain = {k: v for k, v in summary.items() if k not in _NOT_FIGURES}
         parts.append(f"result {_short(plain)}")
     parts += [f"warning: {line}" for line in (run["warnings"] or ())[:5]]
     return Step(text="; ".join(parts), when=start_of(run))

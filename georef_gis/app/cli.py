@@ -265,7 +265,8 @@ def tool_command(tool: Tool) -> click.Command:
 
 
 def _run_tool(tool: Tool, specs: Sequence[Spec], values: dict[str, Any]) -> None:
-    face = Face(as_json=values["_json"], verbose=values["_verbose"])
+    about = tool.algorithm.about
+    face = Face(as_json=values["_json"], verbose=values["_verbose"], about=about)
     with facing(face) as feedback:
         from georef_gis.app.report import report_event, tool_lines
         from georef_gis.project import Project

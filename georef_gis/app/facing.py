@@ -20,10 +20,11 @@ DONE, BUG, USER_ERROR, CANCELLED = 0, 1, 2, 130
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Face:
-    """How a command talks: the options every command has."""
+    """How a command talks: the options every command has, and what its warnings are about."""
 
     as_json: bool
     verbose: int
+    about: str = "photos"
 
 
 def face_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -41,7 +42,7 @@ def facing(face: Face) -> Iterator[PlainFeedback]:
     """Give feedback to the work inside, and turn its errors into messages and exit codes."""
     _start_logging(face.verbose)
     stop = Stop()
-    feedback = make_feedback(as_json=face.as_json, stop=stop)
+    feedback = make_feedback(as_json=face.as_json, stop=stop, about=face.about)
     try:
         with stop.listening(), feedback:
             yield feedback

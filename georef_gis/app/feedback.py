@@ -47,12 +47,13 @@ class Stop:
 class PlainFeedback:
     """Warnings and messages on standard error; progress is not shown.
 
-    Warnings are kept until the end, where those about many photos become one line, and what the
-    report of the run says too is not said twice.
+    Warnings are kept until the end, where those about many photos, or whatever else they are
+    `about`, become one line, and what the report of the run says too is not said twice.
     """
 
-    def __init__(self, stop: Stop) -> None:
+    def __init__(self, stop: Stop, about: str = "photos") -> None:
         self.stop = stop
+        self.about = about
         self._warnings: list[str] = []
 
     def __enter__(self) -> PlainFeedback:
@@ -69,7 +70,7 @@ class PlainFeedback:
         left = dict.fromkeys(kept)
         for message in told:
             left.pop(message, None)
-        for line in grouped(list(left)):
+        for line in grouped(list(left), self.about):
             self._line(f"warning: {line}")
 
     def progress(self, fraction: float, message: str = "") -> None:
@@ -94,8 +95,8 @@ class PlainFeedback:
 class BarFeedback(PlainFeedback):
     """A progress bar in a terminal, with the lines above it."""
 
-    def __init__(self, stop: Stop) -> None:
-        super().__init__(stop)
+    def __init__(self, stop: Stop, about: str = "photos") -> None:
+        super().__init__(stop, about)
         self._bar: Any = None
         self._task: Any = None
 
@@ -171,8 +172,8 @@ def plain(value: Any) -> Any:
     return plain(value.item()) if hasattr(value, "item") else str(value)
 
 
-def make_feedback(*, as_json: bool, stop: Stop) -> PlainFeedback:
-    """Feedback that fits where the output goes."""
+def make_feedback(*, as_json: bool, stop: Stop, about: str = "photos") -> PlainFeedback:
+    """Feedback that fits where the output goes; `about` as of a tool."""
     if as_json:
         return JsonFeedback(stop)
-    return BarFeedback(stop) if sys.stderr.isatty() else PlainFeedback(stop)
+    return BarFeedback(stop, about) if sys.stderr.isatty() else PlainFeedback(stop, about)

@@ -44,8 +44,7 @@ def run_lines(reports: Sequence[StepReport], database: Path) -> list[str]:
         )
     lines += [line for report in reports for line in _distance_lines(report.result.summary)]
     lines += [line for report in reports for line in _control_lines(report.result.summary)]
-    doubts = [doubt for report in reports for doubt in report.result.summary.get("doubts", ())]
-    return lines + _doubt_lines(list(dict.fromkeys(doubts)))
+    return lines + _doubt_lines(reports)
 
 
 def tool_lines(report: StepReport) -> list[str]:
@@ -61,7 +60,7 @@ def tool_lines(report: StepReport) -> list[str]:
         lines.append(f"area   {area_text(summary['covered_m2'])}")
     rest = {key: value for key, value in summary.items() if key not in STANDARD_KEYS}
     lines += [line for key, value in rest.items() for line in _figure(key, value)]
-    return lines + _doubt_lines(list(summary.get("doubts", ())))
+    return lines + _doubt_lines([report])
 
 
 def report_event(report: StepReport) -> dict[str, Any]:
@@ -113,8 +112,12 @@ def _used(summary: Mapping[str, Any]) -> str:
     return f"; {used} of them held the photos when they were adjusted" if used else ""
 
 
-def _doubt_lines(doubts: Sequence[str]) -> list[str]:
-    told = grouped(doubts)
+def _doubt_lines(reports: Sequence[StepReport]) -> list[str]:
+    doubts: dict[str, list[str]] = {}
+    for report in reports:
+        of_tool = doubts.setdefault(report.tool.algorithm.about, [])
+        of_tool += report.result.summary.get("doubts", ())
+    told = list(dict.fromkeys(line for about in doubts for line in grouped(doubts[about], about)))
     lines = [f"doubt  {doubt}" for doubt in told[:MOST_DOUBTS]]
     if len(told) > MOST_DOUBTS:
         lines.append(f"       and {len(told) - MOST_DOUBTS} more in the database, table run")

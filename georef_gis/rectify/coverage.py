@@ -15,6 +15,8 @@ from georef_gis.model.layers import Footprint
 
 # px along the longer side of an overlap map
 COVERAGE_PIXELS = 1500
+# disc of one cell
+_CELL = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.uint8)
 
 
 def overlap_map(
@@ -54,7 +56,8 @@ def holes(grid: Grid, counts: NDArray[np.uint16], *, footprint_cells: float) -> 
     footprint_cells
         Root of the area of a usual footprint, in cells of the grid.
     """
-    pad = int(footprint_cells) + 2
+    # as far as what is grown reaches, and a rim of background around it
+    pad = int(footprint_cells / 3) + 3
     covered = np.pad((counts > 0).astype(np.uint8), pad)
     closed = _shrunk(_grown(covered, footprint_cells / 3), footprint_cells / 3)
     amid = _shrunk(closed, footprint_cells / 10)
@@ -63,7 +66,7 @@ def holes(grid: Grid, counts: NDArray[np.uint16], *, footprint_cells: float) -> 
     gaps = _long((amid > 0) & (covered == 0), footprint_cells / 2)
     missing = ((outside == 0) | gaps).astype(np.uint8)
     # A sliver as thin as a cell is the drawing's, not the flight's.
-    missing = _grown(_shrunk(missing, 1.0), 1.0)
+    missing = cv2.morphologyEx(missing, cv2.MORPH_OPEN, _CELL)
     rings = []
     for contour in cv2.findContours(missing, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]:
         if len(contour) > 2:

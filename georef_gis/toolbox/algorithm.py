@@ -73,6 +73,9 @@ class Algorithm(ABC, Generic[P]):
     command
         Words on the command line, e.g. ``("sync-board", "record")``, for tools that belong to one
         device; empty = the id.
+    about
+        What its messages of the form ``name: text`` are about, in the plural: faces count the
+        names by it where several have one text.
     needs, gives
         Names of project tables and products, from which `georef run` finds the order.
     wants
@@ -102,6 +105,7 @@ class Algorithm(ABC, Generic[P]):
     command: ClassVar[tuple[str, ...]] = ()
     Parameters: ClassVar[type[Parameters]] = Parameters
     outputs: ClassVar[tuple[Output, ...]] = ()
+    about: ClassVar[str] = "photos"
     needs: ClassVar[tuple[str, ...]] = ()
     wants: ClassVar[tuple[str, ...]] = ()
     gives: ClassVar[tuple[str, ...]] = ()
@@ -164,6 +168,7 @@ class Algorithm(ABC, Generic[P]):
             "version": cls.version,
             "needs_project": cls.needs_project,
             "in_run": cls.in_run,
+            "about": cls.about,
             "needs": list(cls.needs),
             "gives": list(cls.gives),
             "parameters": [spec.manifest() for spec in specs],

@@ -36,7 +36,7 @@ PhotoSet = Annotated[tuple[str, ...], Kind("PhotoSet")]
 # "auto", "EPSG:6549", WKT or a file with WKT; read by geodesy.
 Crs = Annotated[str, Kind("Crs")]
 Extent = Annotated[ExtentValue, Kind("Extent")]
-# A file, or the name of a layer of the project.
+# A file, or the name of a layer of the project; see `LayerFile` for one layer of a file.
 RasterLayer = Annotated[str, Kind("RasterLayer")]
 VectorLayer = Annotated[str, Kind("VectorLayer")]
 MapPoint = Annotated[MapPointValue, Kind("MapPoint")]
@@ -113,6 +113,10 @@ def _read_one(spec: Spec, given: Any, source: str) -> Any:
             return value * unit_factor(spec.kind, spec.unit)
         if spec.kind in ("Number", "Integer") and _is_number(given):
             spec.check_range(float(given))
+        if spec.kind in ("RasterLayer", "VectorLayer") and isinstance(given, Path):
+            return str(given)
+        if spec.kind == "File":
+            spec.check_target(given)
         if spec.choices and str(given) not in spec.choices:
             raise ValueError(f"{given!r} is no choice; use one of {', '.join(spec.choices)}")
     except (ValueError, TypeError) as error:
@@ -230,11 +234,16 @@ def choice(
 
 def file(
     default: Any = ..., *, title: str, help: str = "", suffixes: tuple[str, ...] = (),
-    writes: bool = False, advanced: bool = False, positional: bool = False,
+    writes: bool = False, or_folder: bool = False, advanced: bool = False,
+    positional: bool = False,
 ) -> Any:  # fmt: skip
-    """Field of a `File`; `writes` marks a target. Files to read decide if a step is stale."""
+    """Field of a `File`; `writes` marks a target. Files to read decide if a step is stale.
+
+    A target of another suffix than `suffixes` is refused; `or_folder` tells that a folder may be
+    read in the place of the file.
+    """
     return _field("File", default, title, help, suffixes=suffixes, writes=writes,
-                  advanced=advanced, positional=positional)  # fmt: skip
+                  or_folder=or_folder, advanced=advanced, positional=positional)  # fmt: skip
 
 
 def folder(

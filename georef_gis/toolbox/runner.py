@@ -15,14 +15,16 @@ from typing import Any
 
 from georef_gis.errors import Cancelled, ExportError, GeorefError, InputError
 from georef_gis.project import Project
-from georef_gis.project.fingerprint import Known, portable_path
+from georef_gis.project.fingerprint import Known
 from georef_gis.project.lock import project_lock
 from georef_gis.project.project import DATABASE_FILE
 from georef_gis.toolbox.algorithm import Algorithm, Result
 from georef_gis.toolbox.context import CollectingFeedback, Context, Feedback, check_cancelled
 from georef_gis.toolbox.parameters import Parameters
 from georef_gis.toolbox.pipeline import plan_steps, upstream_tools
+from georef_gis.toolbox.records import recorded_result, recorded_summary
 from georef_gis.toolbox.registry import Registry, Tool
+from georef_gis.toolbox.specs import Spec
 from georef_gis.toolbox.staleness import (
     CANCELLED,
     DONE,
@@ -192,13 +194,24 @@ def _parameters(tool: Tool, project: Project, given: Mapping[str, Any]) -> Param
     stored: dict[str, Any] = {}
     for name in (tool.id, tool.full_id):
         stored |= tables.get(name, {})
-    # Paths in project.toml are relative to it.
     for spec in tool.algorithm.Parameters.specs():
-        if spec.kind in ("File", "Folder") and spec.name in stored:
+        if spec.name in stored:
             value = stored[spec.name]
             many = isinstance(value, list)
-            stored[spec.name] = [project.path(v) for v in value] if many else project.path(value)
+            own = [_beside(project, spec, one) for one in (value if many else [value])]
+            stored[spec.name] = own if many else own[0]
     return tool.algorithm.Parameters(**(stored | dict(given)))
+
+
+def _beside(project: Project, spec: Spec, value: Any) -> Any:
+    """Value of project.toml, to which the paths in it are relative."""
+    if spec.kind in ("File", "Folder"):
+        return project.path(value)
+    # the name of a layer, or a word such as auto, has no suffix
+    if spec.kind in ("RasterLayer", "VectorLayer") and isinstance(value, str):
+        name, bar, rest = value.partition("|")
+        return f"{project.path(name)}{bar}{rest}" if Path(name).suffix else value
+    return value
 
 
 class _Run:
@@ -228,11 +241,11 @@ class _Run:
         self.feedback = replace(self.feedback, first=number / count, share=1.0 / count, warnings=[])
 
     def first_answer(self, steps: Sequence[Tool], parameters: Sequence[Parameters]) -> None:
-        """Run what gives a first answer and never ran, before it is made better."""
+        """Run what gives a first answer and never came to its end, before it is made better."""
         waiting = [
             (tool, own)
             for tool, own in zip(steps, parameters, strict=True)
-            if tool.algorithm.first_answer and tool.full_id not in self.last
+            if tool.algorithm.first_answer and not self._is_done(tool)
         ]
         for tool, own in waiting:
             report = self.step(tool, own, forced=False)
@@ -248,7 +261,7 @@ class _Run:
         stale = why_stale(last, now, self.project, verify=self.options.verify)
         if not stale and not forced and last is not None:
             logger.info("%s: unchanged", tool.id)
-            result = _recorded(last, self.project)
+            result = recorded_result(last, self.project)
             return StepReport(tool=tool, skipped=True, reason="", duration_s=0.0, result=result)
         reason = stale or "it was asked for"
         logger.info("%s runs: %s", tool.id, reason)
@@ -267,6 +280,9 @@ class _Run:
         now = self._dependencies(tool, tool.algorithm(), parameters)
         return why_stale(last, now, self.project, verify=self.options.verify)
 
+    def _is_done(self, tool: Tool) -> bool:
+        return bool(self.last.get(tool.full_id, {}).get("outcome") == DONE)
+
     def _dependencies(
         self, tool: Tool, algorithm: Algorithm[Any], parameters: Parameters
     ) -> dict[str, Any]:
@@ -282,7 +298,7 @@ class _Run:
             done = {
                 giver.full_id: int(self.last[giver.full_id]["fid"])
                 for giver in givers
-                if self.last.get(giver.full_id, {}).get("outcome") == DONE
+                if self._is_done(giver)
             }
             if givers and not done and need in tool.algorithm.needs:
                 names = " or ".join(giver.id for giver in givers)
@@ -321,7 +337,7 @@ class _Run:
             result.outputs.values(), self.project, verify=self.options.verify
         )
         self._close(
-            tool, fid, clock, outcome=DONE, summary=_portable(result.summary, self.project),
+            tool, fid, clock, outcome=DONE, summary=recorded_summary(result, self.project),
             outputs=outputs,
             warnings=[*self.feedback.warnings, *result.warnings][:MOST_WARNINGS],
         )  # fmt: skip
@@ -356,22 +372,6 @@ def _last_runs(project: Project) -> dict[str, dict[str, Any]]:
     """Last run of every tool, whatever became of it."""
     database = project.database
     return {row["tool"]: row for row in database.last_rows("run", "tool")}
-
-
-def _recorded(last: Mapping[str, Any], project: Project) -> Result:
-    """Result of a run that still holds; its products are found where the project is now."""
-    summary = dict(last["summary"] or {})
-    if "products" in summary:
-        summary["products"] = [str(project.path(name)) for name in summary["products"]]
-    return Result(summary=summary, warnings=tuple(last["warnings"] or ()))
-
-
-def _portable(summary: Mapping[str, Any], project: Project) -> dict[str, Any]:
-    """Summary whose products are relative to the project, which may be moved."""
-    if "products" not in summary:
-        return dict(summary)
-    products = [portable_path(Path(name), project.folder) for name in summary["products"]]
-    return {**summary, "products": products}
 
 
 def products_of(reports: Sequence[StepReport]) -> list[Path]:

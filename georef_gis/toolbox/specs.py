@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from georef_gis.errors import ExportError
 from georef_gis.toolbox.values import unit_factor
 
 KINDS = (
@@ -34,7 +35,9 @@ class Kind:
 class Spec:
     """Declaration of one parameter; `default` and limits are in `unit`.
 
-    Other values than the `suggestions` are allowed, other ones than the `choices` are not.
+    Other values than the `suggestions` are allowed, other ones than the `choices` are not. Of a
+    file to write all `suffixes` are named, or "" for any name; of one to read they are those to
+    offer. `or_folder` marks a file to read in whose place a folder may be given.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Spec:
     advanced: bool = False
     positional: bool = False
     writes: bool = False
+    or_folder: bool = False
 
     @property
     def option(self) -> str:
@@ -98,6 +102,29 @@ class Spec:
             unit = f" {self.unit}" if self.unit else ""
             raise ValueError(f"{value:g}{unit} is not allowed; give {self.limits()}")
 
+    def check_target(self, given: Any) -> None:
+        """Refuse a file to write with the name of another kind of file.
+
+        A table must not be written over a photo that was named by mistake.
+
+        Raises
+        ------
+        ValueError
+            If its suffix is none of those declared.
+        ExportError
+            If it is a folder.
+        """
+        if not self.writes or not self.suffixes or "" in self.suffixes:
+            return
+        target = Path(str(given))
+        # of the root of the disk the tool says more
+        if target.suffix.lower() in self.suffixes or str(target) == target.anchor:
+            return
+        ends = " or ".join(self.suffixes)
+        if target.is_dir():
+            raise ExportError(f"{given}: is a folder; give the name of a {ends} in it")
+        raise ValueError(f"{given} has the name of another kind of file; end it in {ends}")
+
     def expects(self) -> str:
         """What to give, in words, for an error message."""
         if self.choices:
@@ -127,6 +154,7 @@ class Spec:
             "advanced": self.advanced,
             "positional": self.positional,
             "writes": self.writes,
+            "or_folder": self.or_folder,
         }
         empty: tuple[Any, ...] = (None, "", [])
         return entry | {k: v for k, v in rest.items() if v is not False and v not in empty}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
@@ -118,6 +119,36 @@ class MapPoint:
         """Text form."""
         numbers = (self.x, self.y) if self.height is None else (self.x, self.y, self.height)
         return _text(numbers, self.crs)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerFile:
+    """A file of layers, and one of them where it is named.
+
+    Text form: ``roads.gpkg`` or, as QGIS and GDAL write it, ``roads.gpkg|layername=centre``.
+    """
+
+    path: Path
+    layer: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> LayerFile:
+        """File and layer of their text form.
+
+        Raises
+        ------
+        ValueError
+            If more is asked for, such as a part of the features: it would be ignored.
+        """
+        name, _, rest = text.partition("|")
+        key, _, layer = rest.partition("=")
+        if rest and (key != "layername" or not layer or "|" in layer):
+            raise ValueError(f"{text!r} is not of the form file[|layername=name]")
+        return cls(path=Path(name), layer=layer or None)
+
+    def __str__(self) -> str:
+        """Text form."""
+        return f"{self.path}|layername={self.layer}" if self.layer else str(self.path)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -46,8 +46,9 @@ class AssetsParameters(p.Parameters):
     click: p.Number = p.number(0.5, title="One sigma of a click that states none, px", gt=0, le=100)
     thumbnails: p.Flag = p.flag(False, title="Cut a picture of every asset out of its best photo")
     target: p.File | None = p.file(
-        None, title="CSV or JSON of all assets; else products/assets.csv", writes=True
-    )
+        None, title="CSV or JSON of all assets; else products/assets.csv",
+        suffixes=(".csv", ".json"), writes=True,
+    )  # fmt: skip
 
 
 class Assets(Algorithm[AssetsParameters]):
@@ -58,6 +59,7 @@ class Assets(Algorithm[AssetsParameters]):
     """
 
     id, name, group = "assets", "Assets", "measure"
+    about = "assets"
     needs = ("poses",)
     outputs = (
         Output(name="layers", title="Layers of assets", type="VectorLayer"),

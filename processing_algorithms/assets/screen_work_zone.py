@@ -31,6 +31,7 @@ class ScreenWorkZone(Algorithm[ScreenWorkZoneParameters]):
     """
 
     id, name, group = "screen_work_zone", "Screen a work zone", "measure"
+    about = "assets"
     needs = ("poses",)
     outputs = (
         Output(name="text", title="Account of the screening"),

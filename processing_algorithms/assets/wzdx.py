@@ -43,6 +43,7 @@ class Wzdx(Algorithm[WzdxParameters]):
     """
 
     id, name, group = "wzdx", "WZDx feed of a work zone", "measure"
+    about = "assets"
     needs = ("poses",)
     outputs = (
         Output(name="feed", title="WZDx work zone feed", type="VectorLayer"),

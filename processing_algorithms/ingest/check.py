@@ -31,7 +31,9 @@ class CheckParameters(p.Parameters):
     height: p.Length | None = p.length(
         None, title="Height above ground where the tags have none", unit="m", ge=1, le=20000
     )
-    target: p.File = p.file(Path("fly_again.kml"), title="KML of what to fly again", writes=True)
+    target: p.File = p.file(
+        Path("fly_again.kml"), title="KML of what to fly again", suffixes=(".kml",), writes=True
+    )
 
 
 class Check(Algorithm[CheckParameters]):

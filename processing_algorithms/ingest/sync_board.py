@@ -275,7 +275,9 @@ class DecodeParameters(p.Parameters):
     log: p.File = p.file(title="Log of the recorder: a text table with a header", positional=True)
     channel: p.Text = p.text(title="Column of the servo channel")
     time_column: p.Text = p.text("", title="Column of the time", help="Else found by its name")
-    output: p.File = p.file(Path("sync_board_index.csv"), title="Table of photos", writes=True)
+    output: p.File = p.file(
+        Path("sync_board_index.csv"), title="Table of photos", suffixes=(".csv",), writes=True
+    )
     step: p.Number | None = p.number(
         None, title="Step of the index, in the unit of the channel", help="Else learnt"
     )

@@ -46,6 +46,7 @@ class AccuracyTable(Algorithm[AccuracyTableParameters]):
     """
 
     id, name, group = "accuracy_table", "Accuracy statement of a table", "measure"
+    about = "points"
     needs_project = False
     outputs = OUTPUTS
 

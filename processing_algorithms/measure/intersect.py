@@ -5,6 +5,7 @@ from __future__ import annotations
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 from processing_algorithms.measure.marks import CLICK_TITLE, GROUND
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 
 class IntersectParameters(p.Parameters):
@@ -23,7 +24,9 @@ class IntersectParameters(p.Parameters):
     strict: p.Flag = p.flag(
         False, title="Stop at the first mark or point that cannot be used", advanced=True
     )
-    target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
+    target: p.File | None = p.file(
+        None, title="CSV or JSON of the points to write", suffixes=TABLE_SUFFIXES, writes=True
+    )
 
 
 class Intersect(Algorithm[IntersectParameters]):
@@ -34,6 +37,7 @@ class Intersect(Algorithm[IntersectParameters]):
     """
 
     id, name, group = "intersect", "Intersect marks", "measure"
+    about = "points"
     needs = ("poses",)
     outputs = (Output(name="points", title="Points as CSV or JSON"),)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 from processing_algorithms.measure.marks import CLICK_TITLE
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.measure.measured import MeasuredPoints
@@ -27,7 +28,9 @@ class LocateParameters(p.Parameters):
     click: p.Number | None = p.number(None, title=CLICK_TITLE, ge=0, le=100)
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
     skip: p.Flag = p.flag(False, title="Go on without pixels that cannot be located")
-    target: p.File | None = p.file(None, title="CSV or JSON of the points to write", writes=True)
+    target: p.File | None = p.file(
+        None, title="CSV or JSON of the points to write", suffixes=TABLE_SUFFIXES, writes=True
+    )
 
 
 class Locate(Algorithm[LocateParameters]):
@@ -38,6 +41,7 @@ class Locate(Algorithm[LocateParameters]):
     """
 
     id, name, group = "locate", "Locate pixels", "measure"
+    about = "points"
     needs = ("poses",)
     outputs = (Output(name="points", title="Points as CSV or JSON"),)
 

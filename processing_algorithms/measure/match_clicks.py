@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 from processing_algorithms.measure.marks import CLICK_TITLE
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.measure.click_match.match import Matched
@@ -35,10 +36,13 @@ class MatchClicksParameters(p.Parameters):
     into: tuple[p.Text, ...] = p.text((), title="Only into this photo; give it once per photo")
     most: p.Integer = p.integer(8, title="Photos to look in for each object", ge=1, le=100)
     conf: p.Number = p.number(0.3935, title="Confidence of the ellipses", gt=0, lt=1, advanced=True)
-    points: p.File | None = p.file(None, title="CSV or JSON of the places to write", writes=True)
-    target: p.File | None = p.file(
-        None, title=f"CSV of the marks to write; else products/{_DEFAULT}", writes=True
+    points: p.File | None = p.file(
+        None, title="CSV or JSON of the places to write", suffixes=TABLE_SUFFIXES, writes=True
     )
+    target: p.File | None = p.file(
+        None, title=f"CSV or JSON of the marks to write; else products/{_DEFAULT}",
+        suffixes=TABLE_SUFFIXES, writes=True,
+    )  # fmt: skip
 
 
 class MatchClicks(Algorithm[MatchClicksParameters]):
@@ -50,6 +54,7 @@ class MatchClicks(Algorithm[MatchClicksParameters]):
     """
 
     id, name, group = "match_clicks", "Match clicks into other photos", "measure"
+    about = "points"
     needs = ("poses",)
     outputs = (
         Output(name="marks", title="Marks as CSV"),

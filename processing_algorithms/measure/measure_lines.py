@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 from processing_algorithms.measure.marks import CLICK_TITLE
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.measure.lengths import Leg, Lengths, Quantity
@@ -31,7 +32,9 @@ class MeasureLinesParameters(p.Parameters):
     )
     closed: p.Flag = p.flag(False, title="Back to the first point: perimeter and area")
     click: p.Number | None = p.number(None, title=CLICK_TITLE, ge=0, le=100)
-    target: p.File | None = p.file(None, title="CSV or JSON of the lines to write", writes=True)
+    target: p.File | None = p.file(
+        None, title="CSV or JSON of the lines to write", suffixes=TABLE_SUFFIXES, writes=True
+    )
 
 
 class MeasureLines(Algorithm[MeasureLinesParameters]):
@@ -43,6 +46,7 @@ class MeasureLines(Algorithm[MeasureLinesParameters]):
     """
 
     id, name, group = "measure_lines", "Measure lines and areas", "measure"
+    about = "points"
     needs = ("poses",)
     outputs = (Output(name="lines", title="Lines as CSV or JSON"),)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
 from processing_algorithms.measure.marks import CLICK
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.measure.measured import MeasuredPoints
@@ -34,7 +35,9 @@ class MeasurePhotoParameters(p.Parameters):
     )
     level: p.Flag = p.flag(False, title="Take the camera as looking straight down")
     click: p.Number = p.number(CLICK, title="One sigma of a click, px", ge=0, le=100)
-    target: p.File | None = p.file(None, title="CSV of the points to write", writes=True)
+    target: p.File | None = p.file(
+        None, title="CSV or JSON of the points to write", suffixes=TABLE_SUFFIXES, writes=True
+    )
 
 
 class MeasurePhoto(Algorithm[MeasurePhotoParameters]):

@@ -18,9 +18,8 @@ COLUMNS = (
     "sigma_px", "doubts",
 )  # fmt: skip
 
-
-# endings of what may be written over
-_TABLES = (".csv", ".json", ".txt")
+# of a table to write; another name may be that of a photo, named by mistake
+TABLE_SUFFIXES = (".csv", ".json")
 
 
 def point_rows(points: MeasuredPoints, *, conf: float | None = None) -> list[dict[str, Any]]:
@@ -97,22 +96,19 @@ def _spread(C: Array, conf: float) -> dict[str, float]:
     }
 
 
-def check_target(target: Path | None, source: Path | None = None) -> None:
-    """Refuse to write a table over what is none, or over the table that is read.
+def check_target(target: Path | None, source: Path | None) -> None:
+    """Refuse to write a table over the one that is read.
 
     Raises
     ------
     InputError
-        If it would be lost: a photo named by mistake, or the marks.
+        If the marks would be lost.
     """
     from georef_gis.errors import InputError
 
-    if target is None:
+    if target is None or source is None:
         return
-    if target.suffix.lower() not in _TABLES:
-        why = f"'{target.name}' is not written as a table; end its name in .csv or .json"
-        raise InputError(why, source=str(target), field="target")
-    if source is not None and target.resolve() == source.resolve():
+    if target.resolve() == source.resolve():
         why = "is the table of marks that is read, and would be lost; name another"
         raise InputError(why, source=str(target), field="target")
 
@@ -122,8 +118,6 @@ def write_rows(target: Path, rows: Sequence[dict[str, Any]], columns: Sequence[s
 
     Raises
     ------
-    InputError
-        If the name is that of no table: a photo named by mistake would be lost.
     ExportError
         If it cannot be written.
     """
@@ -133,7 +127,6 @@ def write_rows(target: Path, rows: Sequence[dict[str, Any]], columns: Sequence[s
 
     from georef_gis.rasters.files import export_errors, resolve_target, whole_file
 
-    check_target(target)
     if target.suffix.lower() == ".json":
         text = json.dumps(list(rows), indent=1, ensure_ascii=False) + "\n"
     else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.measure.scene import Scene
@@ -22,8 +23,9 @@ class WhereToClickParameters(p.Parameters):
     )
     best: p.Integer = p.integer(0, title="Photos per point, 0 = all", ge=0, le=100_000)
     target: p.File | None = p.file(
-        None, title="CSV to write; else products/where_to_click.csv", writes=True
-    )
+        None, title="CSV or JSON to write; else products/where_to_click.csv",
+        suffixes=TABLE_SUFFIXES, writes=True,
+    )  # fmt: skip
 
 
 class WhereToClick(Algorithm[WhereToClickParameters]):
@@ -35,6 +37,7 @@ class WhereToClick(Algorithm[WhereToClickParameters]):
     """
 
     id, name, group = "where_to_click", "Where to click control points", "measure"
+    about = "points"
     needs = ("footprints",)
     outputs = (Output(name="pixels", title="Predicted pixels as CSV"),)
 

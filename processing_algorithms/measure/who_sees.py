@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from georef_gis.toolbox import Algorithm, Context, Feedback, Output, Result
 from georef_gis.toolbox import parameters as p
+from processing_algorithms.measure.point_table import TABLE_SUFFIXES
 
 if TYPE_CHECKING:
     from georef_gis.geodesy import MapFrame
@@ -29,7 +30,9 @@ class WhoSeesParameters(p.Parameters):
         0.0, title="One sigma of a surveyed height", unit="m", ge=0, le=1e4
     )
     best: p.Integer = p.integer(0, title="At most so many photos, 0 = all", ge=0, le=100_000)
-    target: p.File | None = p.file(None, title="CSV or JSON to write", writes=True)
+    target: p.File | None = p.file(
+        None, title="CSV or JSON to write", suffixes=TABLE_SUFFIXES, writes=True
+    )
 
 
 class WhoSees(Algorithm[WhoSeesParameters]):

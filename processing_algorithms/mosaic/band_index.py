@@ -44,7 +44,7 @@ class BandIndexParameters(p.Parameters):
     red: p.Text | None = p.text(None, title="Band of red", help=_ROLE_HELP)
     green: p.Text | None = p.text(None, title="Band of green", help=_ROLE_HELP)
     blue: p.Text | None = p.text(None, title="Band of blue", help=_ROLE_HELP)
-    other: p.File | None = p.file(
+    other: p.RasterLayer | None = p.raster_layer(
         None, title="Map of another camera over the same ground",
         help="any CRS, GSD and extent; it is brought to the grid of the first",
     )  # fmt: skip
@@ -141,7 +141,7 @@ class _Targets:
         raster = Path(parameters.raster)
         suffix = "index" if parameters.expression is not None else parameters.index
         index = parameters.target or raster.with_name(f"{raster.stem}_{suffix}.tif")
-        taken = [raster, *([parameters.other] if parameters.other else [])]
+        taken = [raster, *([Path(parameters.other)] if parameters.other else [])]
         for target, field in ((index, "target"), (parameters.bands_out, "bands_out")):
             if target is None:
                 continue
@@ -187,8 +187,8 @@ def _other(
     from georef_gis.rasters.resampled import open_bands_on
     from processing_algorithms.mosaic.band_pair import find_shift
 
-    path = parameters.other
-    assert path is not None
+    assert parameters.other is not None
+    path = Path(parameters.other)
     as_placed = stack.enter_context(open_bands_on(path, first.header))
     if parameters.align == "none":
         return as_placed, _Pair(shift=None, left=None)

@@ -19,18 +19,22 @@ if TYPE_CHECKING:
 
 # px; how finely it is known where the raster shows something
 COVER_SIDE = 2048
+# what may be written for no line
+AUTO = "auto"
 
 
 class MosaicSheetsParameters(p.Parameters):
     """Parameters of `mosaic-sheets`."""
 
-    line: p.Text = p.text(
-        "auto", title="Centre line",
-        help="file with one line (GeoJSON, GeoPackage, Shapefile, KML; any CRS), or auto: the "
-        "middle of the flight, from the end where the first photo was taken",
+    line: p.VectorLayer | None = p.vector_layer(
+        None, title="Centre line",
+        help="file with one line (GeoJSON, GeoPackage, Shapefile, KML; any CRS); without, or with "
+        "auto: the middle of the flight, from the end where the first photo was taken",
     )  # fmt: skip
     layer: p.Text | None = p.text(None, title="Layer of that file, if several have lines")
-    raster: p.File | None = p.file(None, title="Raster to cut; by default products/mosaic.tif")
+    raster: p.RasterLayer | None = p.raster_layer(
+        None, title="Raster to cut; by default products/mosaic.tif"
+    )
     length: p.Length = p.length(500.0, title="Length of a sheet along the line", gt=0)
     width: p.Length | None = p.length(
         None, title="Width of the sheets; by default all that the raster shows", gt=0
@@ -94,7 +98,7 @@ class _Place:
         from georef_gis.errors import InputError
 
         mosaic = project.products / "mosaic.tif"
-        raster = parameters.raster or mosaic
+        raster = Path(parameters.raster or mosaic)
         if not raster.is_file():
             cure = "give a GeoTIFF" if parameters.raster else "run `georef run`, or give --raster"
             raise InputError(f"there is no such file; {cure}", source=str(raster), field="raster")
@@ -145,12 +149,14 @@ def _cut(
     from georef_gis.errors import InputError
     from georef_gis.mosaic import sheet_cut
     from georef_gis.rasters.resampled import coarse_valid
+    from processing_algorithms.drawn import layer_file
     from processing_algorithms.mosaic.sheet_line import flight_line, read_line
 
-    auto = parameters.line == "auto"
-    line = flight_line(project, crs) if auto else read_line(
-        Path(parameters.line), parameters.layer, crs
-    )  # fmt: skip
+    given = parameters.line if parameters.line != AUTO else None
+    if given is None:
+        line = flight_line(project, crs)
+    else:
+        line = read_line(*layer_file(given, parameters.layer, field="line"), crs)
     shown = coarse_valid(raster, header, most=COVER_SIDE)
     rows, cols = shown.shape
     pixel, _, left, _, _, top = header.transform
@@ -164,9 +170,9 @@ def _cut(
         raise InputError(
             f"the line lies outside {raster.name}, {gap * metres:.0f} m off; check the line and "
             "its CRS, or give --width",
-            source="" if auto else parameters.line, field="line",
+            source=given or "", field="line",
         )  # fmt: skip
-    if auto:
+    if given is None:
         line = sheet_cut.trimmed(line, cover)
     if width is None:
         width = sheet_cut.width_over(line, cover)

@@ -20,9 +20,13 @@ class CompareTrajectoryParameters(p.Parameters):
     """Parameters of `compare_trajectory`."""
 
     estimate: p.File = p.file(
-        title="Trajectory to judge: a log, or the folder of a project for its own", positional=True
-    )
-    reference: p.File = p.file(title="Trajectory taken as the truth", positional=True)
+        title="Trajectory to judge: a log, or the folder of a project for its own",
+        or_folder=True, positional=True,
+    )  # fmt: skip
+    reference: p.File = p.file(
+        title="Trajectory taken as the truth: a log, or the folder of a project for its own",
+        or_folder=True, positional=True,
+    )  # fmt: skip
     target: p.Folder | None = p.folder(
         None, title="Folder for pictures, table and summary", writes=True
     )

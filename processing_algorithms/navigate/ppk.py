@@ -24,8 +24,9 @@ class PpkParameters(p.Parameters):
     )
     output: p.File = p.file(title=".pos or .csv to write", suffixes=(".pos", ".csv"), writes=True)
     events: p.File | None = p.file(
-        None, title="CSV of the marks in the rover's RINEX file to write", writes=True
-    )
+        None, title="CSV of the marks in the rover's RINEX file to write", suffixes=(".csv",),
+        writes=True,
+    )  # fmt: skip
     base_at: p.Text = p.text(
         "header",
         title="Place of the base",
@@ -89,8 +90,6 @@ class Ppk(Algorithm[PpkParameters]):
         from georef_gis.navigate.ppk import run_ppk, write_pos
 
         output = parameters.output
-        if output.suffix.lower() not in (".pos", ".csv"):
-            raise InputError("the output is to end in .pos or .csv", source=str(output))
         if not output.parent.is_dir():
             raise InputError("its folder is not there; make it first", source=str(output))
         feedback.progress(0.0, "RTKLIB at work")

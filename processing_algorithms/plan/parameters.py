@@ -12,8 +12,10 @@ class PlanFlightParameters(p.Parameters):
 
     height: p.Length = p.length(title="Height above the ground", unit="m", gt=0, le=20000)
     speed: p.Number = p.number(title="Ground speed", unit="m/s", gt=0, le=300)
-    area: p.File | None = p.file(None, title="File with the area to cover, one polygon")
-    line: p.File | None = p.file(None, title="File with a centre line, for a road")
+    area: p.VectorLayer | None = p.vector_layer(
+        None, title="File with the area to cover, one polygon"
+    )
+    line: p.VectorLayer | None = p.vector_layer(None, title="File with a centre line, for a road")
     layer: p.Text | None = p.text(None, title="Layer of that file, if several have shapes")
     corner: tuple[p.MapPoint, ...] = p.map_point(
         (), title="Corner of the area, x,y (lon,lat unless @CRS is added); give it once per corner"

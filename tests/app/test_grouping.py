@@ -7,6 +7,10 @@ import pytest
 
 from georef_gis.app.feedback import PlainFeedback, Stop
 from georef_gis.app.grouping import grouped
+from georef_gis.app.report import run_lines, tool_lines
+from georef_gis.toolbox import Result
+from georef_gis.toolbox.registry import load_registry
+from georef_gis.toolbox.steps import StepReport
 
 TURNED = 'may be turned; set [attitude] rotate_photos = {{"{0}" = 180}}'
 
@@ -47,6 +51,35 @@ def test_other_things_than_photos_are_not_called_photos() -> None:
     lines = ["camera A: focal length assumed", "camera B: focal length assumed", "3 places unseen"]
     lines += ["c.csv, line 2: cone is not measured", "c.csv, line 9: cone is not measured"]
     assert grouped(lines) == lines
+
+
+def test_names_are_counted_as_what_the_tool_is_about() -> None:
+    lines = ["a: seen once", "b: seen once"]
+    assert grouped(lines, "points") == ["2 points (a, b): seen once"]
+
+
+def test_doubts_of_a_run_are_counted_as_what_each_tool_is_about() -> None:
+    def report(tool: str) -> StepReport:
+        doubts = [f"{tool[0]}{n}: is odd" for n in (1, 2)]
+        return StepReport(tool=load_registry().find(tool), skipped=False, reason="", duration_s=0.0,
+                          result=Result(summary={"doubts": doubts}))  # fmt: skip
+
+    reports = [report("mosaic"), report("volume")]
+    lines = run_lines(reports, Path("none.gpkg"))
+    assert lines[-2:] == [
+        "doubt  2 photos (m1, m2): is odd",
+        "doubt  2 areas (v1, v2): is odd",
+    ]
+    assert tool_lines(reports[1])[-1] == "doubt  2 areas (v1, v2): is odd"
+
+
+def test_warnings_are_counted_as_what_the_tool_is_about(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with PlainFeedback(Stop(), "areas") as feedback:
+        feedback.warn("a: is odd")
+        feedback.warn("b: is odd")
+    assert capsys.readouterr().err == "warning: 2 areas (a, b): is odd\n"
 
 
 def test_order_is_that_of_the_first_of_each() -> None:

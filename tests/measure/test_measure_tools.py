@@ -186,7 +186,7 @@ def test_photos_that_show_a_target_are_those_in_which_it_is_marked(
         (("measure-lines", "--photo", "IMG_0004", "--pixel", "1,1"), "needs two points"),
         (
             ("locate", "--pixel", "IMG_0004:10,10", "--target", "p.jpg"),
-            "'p.jpg' is not written as a",
+            "target: p.jpg has the name of another kind of file; end it in .csv or .json",
         ),
         (("who-sees", "--place", "1,2"), "km from the nearest photo; check its CRS and the order"),
         (("who-sees", "--place", "1,2@EPSG:0"), "EPSG:0"),
@@ -219,6 +219,15 @@ def test_a_table_with_bad_lines_goes_on_and_tells_them(site: Path, tmp_path: Pat
     told = " ".join(event.get("message", "") for event in events)
     assert "m.csv, line 3" in told
     assert "lies outside" in told
+
+
+def test_points_that_are_left_out_are_not_called_photos(site: Path) -> None:
+    pixels = [f"--pixel=IMG_0004:{pixel}" for pixel in ("600,400", "10,20000", "10,30000")]
+    words = ["locate", *pixels, "--skip", "--project", str(site), "--force"]
+    done = CliRunner().invoke(cli.georef, words)
+    assert done.exit_code == 0, done.output
+    assert "2 points (2, 3): photo IMG_0004: pixel (10, 20000 to 30000) lies" in done.stderr
+    assert "photos (" not in done.stderr
 
 
 def test_what_is_doubtful_about_a_photo_is_told_once(site: Path) -> None:

@@ -157,6 +157,7 @@ def test_values_at_exposures_are_interpolated() -> None:
     assert np.isnan(at_exposures(late, what.log.rpy)).all()
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_photos_off_the_path_and_uneven_heights_ask_for_a_look() -> None:
     facts = project_facts(4)
     prints = {
@@ -169,6 +170,7 @@ def test_photos_off_the_path_and_uneven_heights_ask_for_a_look() -> None:
     assert "P003" in found["Flight"].text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_an_exposure_that_is_far_less_certain_is_counted() -> None:
     log = trajectory()
     covariance = log.covariance.copy()
@@ -180,6 +182,7 @@ def test_an_exposure_that_is_far_less_certain_is_counted() -> None:
     assert "1 exposure beyond 3 times" in found.text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_notes_are_listed() -> None:
     items = path_items(project_facts(2), flown(notes=("the logs are too large",)))
     assert isinstance(items[-1], Lines)
@@ -199,6 +202,7 @@ def differences(scale: float, *, wild: int = 0) -> FixDifferences:
     )
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 @pytest.mark.parametrize(
     ("scale", "wild", "level"),
     # 1, 2.5 and 6 times what is stated: 95, 58 and 26 % within 2 sigmas; one fix in ten 60 m off
@@ -213,6 +217,7 @@ def test_fixes_are_judged_by_the_sigmas_that_they_state(
     assert "delay of the fixes of 250 ms" in found.text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_a_delay_of_the_fixes_is_found_and_noise_gives_none() -> None:
     rng = np.random.default_rng(5)
     t = np.arange(0.0, 120.0, 0.2)

@@ -64,6 +64,7 @@ def test_names_from_the_project_are_no_markup(adjusted_page: str) -> None:
     assert "A &lt;site&gt; &amp; more" in adjusted_page
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_findings_come_worst_first_and_link_to_their_figures() -> None:
     def table(name: str, verdict: Verdict | None) -> Table:
         return Table(title=name, columns=("A", "B"), rows=[("a", "1")], verdict=verdict)
@@ -89,6 +90,7 @@ def test_findings_come_worst_first_and_link_to_their_figures() -> None:
     assert "#s-4" not in findings
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_a_refused_adjustment_heads_the_findings_with_its_reason() -> None:
     why = ["height above ground 61 m DOES NOT AGREE with 34 +- 3 m", "the direct result stays"]
     run = {"tool": "georef:adjust", "outcome": "done", "summary": {"used": False, "doubts": why},
@@ -106,6 +108,7 @@ def test_a_refused_adjustment_heads_the_findings_with_its_reason() -> None:
     assert f'id="{key}"' in text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_long_lists_of_warnings_are_counted() -> None:
     lines = Lines(title="W", lines=tuple(f"w{i}" for i in range(100)), most=25)
     text = render("T", [], [Section(id="s", title="S", items=[lines])])
@@ -114,6 +117,7 @@ def test_long_lists_of_warnings_are_counted() -> None:
     assert "75 more" in text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_what_is_not_there_is_said_plainly() -> None:
     text = page_of(project_facts())
     for said in (

@@ -120,6 +120,7 @@ def test_pictures_are_of_every_class() -> None:
     assert len(shown) == 10
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_evil_names_are_text_on_the_page_and_in_the_pdf() -> None:
     some = [asset(i, name=name) for i, name in enumerate(EVIL)]
     found = facts_of(some, pictures={a.id: jpeg(64) for a in some})
@@ -167,6 +168,7 @@ def budget_of(gnss: float, datum: float = 0.0, *, far: int = 0) -> Budget:
     return Budget(whole=whole, each=each, found=remedies(whole), of=10)
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_the_budget_tells_sources_remedies_and_far_photos() -> None:
     items = budget_items(budget_of(0.5))
     sources = table(items, "Error budget by source")

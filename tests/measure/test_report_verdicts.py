@@ -42,6 +42,9 @@ from georef_gis.measure.report.tie_section import tie_items
 from georef_gis.project.geometry import point_wkb
 from georef_gis.rasters.preview import Preview
 
+# verdicts, not pictures
+pytestmark = pytest.mark.usefixtures("pictures_undrawn")
+
 
 def verdict(items: list[Item], title: str) -> Verdict:
     """Verdict of the item whose title begins so."""

@@ -6,6 +6,7 @@ import shapely
 from rectify_cases import GROUND, camera_at, map_frame, square
 
 from georef_gis.frames import Array
+from georef_gis.model.grid import Grid
 from georef_gis.rectify.coverage import covered_area, footprint_side, holes, overlap_map
 from georef_gis.rectify.footprints import footprint
 
@@ -95,6 +96,25 @@ def test_ragged_rim_is_no_hole(rng: np.random.Generator) -> None:
         for j in range(5)
     ]
     assert found_holes(strips) == []
+
+
+def test_hole_does_not_depend_on_how_much_empty_map_is_around(rng: np.random.Generator) -> None:
+    height, width, empty, side = 120, 160, 100, 40.0
+    found = 0
+    for _ in range(10):
+        counts = np.zeros((height, width), np.uint16)
+        for _ in range(12):
+            row, col = rng.integers(0, height - 20), rng.integers(0, width - 20)
+            counts[row : row + 40, col : col + 40] += 1
+        tight = Grid.over((0.0, 0.0, width, height), pixel=1.0, crs_wkt="")
+        wide = Grid.over((-empty, -empty, width + empty, height + empty), pixel=1.0, crs_wkt="")
+        rings = holes(tight, counts, footprint_cells=side)
+        around = holes(wide, np.pad(counts, empty), footprint_cells=side)
+        assert len(rings) == len(around)
+        for ring, other in zip(rings, around, strict=True):
+            np.testing.assert_array_equal(ring, other)
+        found += len(rings)
+    assert found >= 3
 
 
 @pytest.mark.parametrize("east", [0.0, 4000.0], ids=["here", "4 km on"])

@@ -339,6 +339,45 @@ def test_one_run_at_a_time(toy: Registry, site: Path) -> None:
     assert ran(run(toy, site)) == ["count", "double"]
 
 
+class Preview(Algorithm[p.Parameters]):
+    """Give what the first answer needs."""
+
+    id, name, group = "preview", "Preview", "ingest"
+    wants, gives, in_run, first_answer = ("better",), ("preview",), True, True
+
+    def run(self, context: Context, parameters: p.Parameters, feedback: Feedback) -> Result:
+        return Result()
+
+
+class Answer(Preview):
+    """Give the first answer."""
+
+    id, name = "answer", "Answer"
+    needs, gives = ("preview",), ()
+
+
+class Better(Preview):
+    """Better it."""
+
+    id, name = "better", "Better"
+    wants, gives, refines, first_answer = (), ("better",), True, False
+
+
+@pytest.mark.parametrize("killed", ["preview", "answer"])
+def test_run_killed_in_its_first_answer_goes_on_with_it(site: Path, killed: str) -> None:
+    registry, told = Registry(), CollectingFeedback()
+    registry.add("toy", (Preview, Answer, Better), "toy-georef", "0.3")
+    project = Project.open(site)
+    project.prepare()
+    project.database.insert("run", {"tool": f"toy:{killed}", "outcome": "started"})
+    reports = run_pipeline(registry, project, told)
+    ids = [row["tool"] for row in project.database.rows("run")][1:]
+    project.close()
+    assert ran(reports) == ["better", "preview", "answer"]
+    first = ["toy:preview", "toy:answer"]
+    assert ids == [*first, "toy:better", *first]
+
+
 def test_tools_that_need_each_other_are_refused(toy: Registry) -> None:
     class Circle(Algorithm[p.Parameters]):
         """Need what needs this."""

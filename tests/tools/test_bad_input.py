@@ -395,18 +395,19 @@ def limited(size: int) -> Callable[[], None]:
     return limit
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_full_target_is_one_line_and_the_next_run_mends_it(
     make_site: Callable[..., Site],
 ) -> None:
-    site = make_site(3, compression="deflate", gsd_m=0.15)
+    site = make_site(3, compression="deflate", gsd_m=0.15).by_tags_alone()
     done = georef_process("run", site.folder, preexec_fn=limited(400_000))
     assert done.returncode == 2, done.stdout + done.stderr
     assert "bug" not in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.splitlines()[-1].startswith("georef: ")
     assert not site.litter()
-    again = georef_process("run", site.folder)
-    assert again.returncode == 0, again.stderr
+    again = site.run()
+    assert again.code == 0, again.text
     assert len(site.orthos()) == 3
     assert (site.products / "mosaic.tif").is_file()
 
@@ -441,7 +442,7 @@ def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
 def test_interrupted_run_ends_promptly_with_130(
     make_site: Callable[..., Site], number: signal.Signals
 ) -> None:
-    site = make_site(5, gsd_m=0.04)
+    site = make_site(5, gsd_m=0.04).by_tags_alone()
     process = started(site)
     wait_for(lambda: (site.products / "orthos").is_dir())
     process.send_signal(number)
@@ -507,10 +508,11 @@ def alike(got: str, expected: str) -> bool:
     return bool(np.allclose(a, b, rtol=1e-3, atol=1e-3))
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_killed_run_leaves_nothing_half_and_the_next_gives_the_same(
     make_site: Callable[..., Site], tmp_path: Path
 ) -> None:
-    site = make_site(3, gsd_m=0.2)
+    site = make_site(3, gsd_m=0.2).by_tags_alone()
     begun = time.monotonic()
     assert georef_process("run", site.folder).returncode == 0
     whole = time.monotonic() - begun
@@ -529,8 +531,8 @@ def test_killed_run_leaves_nothing_half_and_the_next_gives_the_same(
         for path in site.products.rglob("*.tif"):
             if not path.name.startswith("."):
                 assert pixels(path.read_bytes()).any(), path
-        again = georef_process("run", site.folder)
-        assert again.returncode == 0, again.stderr
+        again = site.run()
+        assert again.code == 0, again.text
         got = content(site)
         assert got.keys() == expected.keys()
         assert [key for key in got if not same(got[key], expected[key])] == []

@@ -295,6 +295,7 @@ def test_wrong_lines_are_refused_in_one_line(flight: Flight) -> None:
     told = refused(flight, "--line", two)
     assert "has lines in 2 layers (left, right); say which by --layer" in told
     sheets(flight, "--line", two, "--layer", "left")
+    sheets(flight, "--line", f"{two}|layername=left")
     assert "no layer 'middle'; use left, right" in refused(
         flight, "--line", two, "--layer", "middle"
     )

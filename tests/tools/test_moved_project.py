@@ -6,11 +6,13 @@ import shutil
 import sqlite3
 from collections.abc import Callable
 
+import pytest
 from tool_cases import Site
 
 from georef_gis.project import Project
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_a_copied_project_is_up_to_date_and_reads_its_own_photos(
     make_site: Callable[..., Site],
 ) -> None:

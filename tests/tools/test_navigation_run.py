@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from navigation_cases import (
+    STEPS,
     errors,
     flight,
     navigation_site,
@@ -30,18 +31,20 @@ from georef_gis.units import GPS_WEEK
 pytestmark = pytest.mark.slow
 
 MISSED = "IMG_0002"
+TAGS_ALONE = "read_photos,orient_direct,footprints,control"
+TO_CONTROL = f"{STEPS},match,adjust,footprints,control"
 
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    """The sample project with all its photos and steps."""
+    """The sample project with all its photos and the steps to its poses and control."""
     if not SAMPLE.is_dir():
         pytest.skip("sample_project is not there")
     site = navigation_site(tmp_path_factory.mktemp("navigation"))
-    quick = site.run("--quick")
+    quick = site.run("--quick", "--only", TAGS_ALONE)
     assert quick.code == 0, quick.text
     (site.folder / "quick.txt").write_text(quick.text)
-    done = site.run()
+    done = site.run("--only", TO_CONTROL)
     assert done.code == 0, done.text
     (site.folder / "full.txt").write_text(done.text)
     return site
@@ -112,7 +115,7 @@ def test_control_and_check_points_fit_better_than_with_the_tags(ran: Site) -> No
 
 def test_unchanged_run_makes_nothing_again(ran: Site) -> None:
     before = (ran.folder / "navigation" / "trajectory.npz").stat().st_mtime_ns
-    done = ran.run()
+    done = ran.run("--only", TO_CONTROL)
     assert done.code == 0
     done.line("steps were unchanged")
     assert (ran.folder / "navigation" / "trajectory.npz").stat().st_mtime_ns == before

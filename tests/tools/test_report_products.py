@@ -100,6 +100,7 @@ def test_logs_that_are_gone_cost_the_fixes_only(navigated: Site) -> None:
     assert "gnss.csv" in note
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_settings_that_changed_after_a_run_are_told(navigated: Site) -> None:
     navigated.set("ground", sigma_m=0.7)
     try:
@@ -111,6 +112,7 @@ def test_settings_that_changed_after_a_run_are_told(navigated: Site) -> None:
     assert "footprints (ground)" in text
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_pictures_older_than_their_asset_are_not_shown(navigated: Site) -> None:
     from os import utime
 
@@ -122,6 +124,7 @@ def test_pictures_older_than_their_asset_are_not_shown(navigated: Site) -> None:
     assert (navigated.products / REPORT).read_text("utf-8").count('alt="Photo of ') == 2
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_the_report_makes_no_file_of_assets(tmp_path: Path) -> None:
     if not SAMPLE.is_dir():
         pytest.skip("sample_project is not there")
@@ -132,6 +135,7 @@ def test_the_report_makes_no_file_of_assets(tmp_path: Path) -> None:
     assert "Nothing was mapped yet" in (site.products / REPORT).read_text("utf-8")
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_assets_that_cannot_be_read_cost_their_part_only(navigated: Site) -> None:
     path = navigated.folder / "assets.gpkg"
     kept = path.read_bytes()
@@ -163,6 +167,7 @@ def test_the_pdf_holds_what_the_page_holds(navigated: Site) -> None:
     assert navigated.litter() == []
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_a_pdf_that_fails_leaves_the_one_before(
     navigated: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,6 +185,7 @@ def test_a_pdf_that_fails_leaves_the_one_before(
     assert navigated.litter() == []
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_without_the_library_one_line_says_what_to_install_and_the_page_is_written(
     navigated: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,6 +200,7 @@ def test_without_the_library_one_line_says_what_to_install_and_the_page_is_writt
     assert (navigated.products / REPORT).read_text("utf-8").endswith("</html>\n")
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 @pytest.mark.parametrize(
     ("broken", "said"),
     [

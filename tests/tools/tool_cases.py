@@ -21,6 +21,8 @@ from georef_gis.app import cli
 SAMPLE = Path(__file__).parents[2] / "sample_project"
 # m; products are coarse where only their being there counts
 GSD = 0.3
+# what matching finds is not what most tests are about
+COARSE_MATCH = {"max_side": 650, "observations": 150}
 
 
 @dataclass
@@ -67,6 +69,12 @@ class Site:
         """Take the DEM for the ground."""
         self.set("ground", dem="dem.asc", height_m=None)
 
+    def by_tags_alone(self) -> Site:
+        """Leave logs and control out: half of a run's time, where products alone count."""
+        self.set("logs", imu=None, gnss=None, sync=None)
+        self.set("control", file=None, marks=None)
+        return self
+
     def run(self, *words: object) -> Done:
         """`georef run` in this process."""
         return georef("run", self.folder, *words)
@@ -96,8 +104,7 @@ def copy_site(folder: Path, photos: int = 5, **settings: object) -> Site:
         shutil.copy(SAMPLE / name, folder)
     site = Site(folder)
     site.set("products", **{"gsd_m": GSD, **settings})
-    # what matching finds is not what these tests are about
-    site.set("tools", match={"max_side": 650, "observations": 150})
+    site.set("tools", match=COARSE_MATCH)
     site.set("ground", dem=None, height_m=314.0, height_kind="orthometric")
     return site
 

@@ -176,6 +176,7 @@ def test_layers_to_export_are_a_list_in_which_one_can_type_another(
     assert "no-such-layer" in tab.page.inner_text("#panel-tools .log")
 
 
+@pytest.mark.usefixtures("pictures_undrawn")
 def test_a_report_that_is_older_than_the_assets_says_so_and_is_made_again(
     site: Path, chrome: Any
 ) -> None:
