@@ -20,10 +20,9 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "change"))
-from change_cases import FINE, Look, Thing, ground, matches, render, truth_shapes
+from change_cases import FINE, Look, Thing, compared, ground, matches, render, truth_shapes
 
-from georef_gis.measure.change.detect import Comparison, compare
-from georef_gis.measure.change.pair import common_cells
+from georef_gis.measure.change.detect import Comparison
 from georef_gis.rasters.gdal_cache import gdal_cache
 
 # m
@@ -65,8 +64,7 @@ def draw(seed: int, folder: Path) -> tuple[list[Thing], Comparison]:
     later, earlier = folder / "later.tif", folder / "earlier.tif"
     render(later, site, first, rng)
     render(earlier, site, second, rng)
-    cells = common_cells(later, earlier, CELL)
-    return things, compare(later, earlier, cells, most=5.0, least_area=0.1)
+    return things, compared(later, earlier, CELL)
 
 
 def calibration(draws: int) -> None:
@@ -116,13 +114,13 @@ def cost(side: int, folder: Path) -> None:
     if not all(path.exists() for path in paths):
         _large(paths, side)
     start = time.process_time()
-    with gdal_cache(128):
-        cells = common_cells(paths[0], paths[1], 0.1)
-        found = compare(paths[0], paths[1], cells, most=5.0, least_area=0.1)
+    with gdal_cache(64):
+        found = compared(*paths, 0.1)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(
         f"{side} x {side} px: {time.process_time() - start:.1f} s of CPU, {peak:.0f} MB, "
-        f"{cells.header.width} x {cells.header.height} cells, {len(found.changes)} regions"
+        f"{found.cells.header.width} x {found.cells.header.height} cells, "
+        f"{len(found.changes)} regions"
     )
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 # cells are so many times as long as the coarser of the two ground sample distances
 _CELL = 2.0
 # megabytes of decoded blocks that are kept
-_CACHE = 128
+_CACHE = 64
 
 
 class ChangeParameters(p.Parameters):
     """Parameters of `change`."""
 
-    earlier: p.File | None = p.file(
+    earlier: p.RasterLayer | None = p.raster_layer(
         None, title="Earlier mosaic, a GeoTIFF of any CRS, GSD and extent", positional=True
     )
     earlier_project: p.Folder | None = p.folder(
@@ -31,7 +31,7 @@ class ChangeParameters(p.Parameters):
     earlier_date: p.Text | None = p.text(
         None, title="Date of the earlier mosaic; by default of its project's photos"
     )
-    later: p.File | None = p.file(
+    later: p.RasterLayer | None = p.raster_layer(
         None, title="Later mosaic, instead of the project's own", advanced=True
     )
     later_date: p.Text | None = p.text(
@@ -47,6 +47,9 @@ class ChangeParameters(p.Parameters):
     max_shift: p.Length = p.length(
         10.0, title="Largest shift between the two that is believed", gt=0, le=500
     )
+    photos: p.Flag = p.flag(
+        True, title="Ask the photos of both dates whether what differs only leans another way"
+    )
     geojson: p.Flag = p.flag(False, title="Write GeoJSON too")
     target: p.File | None = p.file(
         None, title="GeoPackage to write; by default products/changes.gpkg", suffixes=(".gpkg",),
@@ -58,9 +61,10 @@ class ChangeTool(Algorithm[ChangeParameters]):
     """Areas that changed between an earlier mosaic and the project's own, with a confidence.
 
     The two are registered on each other by many windows, made alike in brightness, and compared
-    cell by cell; the shift is taken out of the comparison, not of the mosaics. Experimental: the
-    confidence is calibrated on simulated changes, and on a real site where nothing changed. Trees,
-    water and what is tall look different from every flight.
+    cell by cell; the shift is taken out of the comparison, not of the mosaics. Where the photos of
+    a date are at hand, an area that one of them shows as the other date's mosaic does is one that
+    leans: it loses its confidence. Experimental: the confidence is calibrated on simulated changes,
+    and on a real site where nothing changed.
     """
 
     id, name, group = "change", "Change between two dates", "measure"
@@ -75,10 +79,11 @@ class ChangeTool(Algorithm[ChangeParameters]):
     def run(self, context: Context, parameters: ChangeParameters, feedback: Feedback) -> Result:
         """Compare and write."""
         from georef_gis.measure.change.detect import compare
-        from georef_gis.measure.change.pair import common_cells, gsd_of
+        from georef_gis.measure.change.evidence import weigh
+        from georef_gis.measure.change.pair import common_cells, gsd_of, open_pair
         from georef_gis.rasters.gdal_cache import gdal_cache
         from processing_algorithms.change.files import write_all
-        from processing_algorithms.change.told import doubts_of, figures_of
+        from processing_algorithms.change.told import doubts_of, figures_of, photo_doubts
 
         project = context.require_project()
         earlier, later = _sides(project, parameters)
@@ -89,18 +94,21 @@ class ChangeTool(Algorithm[ChangeParameters]):
             check_cancelled(feedback)
             feedback.progress(_STEPS[what][0] + part * _STEPS[what][1], what)
 
-        with gdal_cache(_CACHE):
-            found = compare(
-                later.raster, earlier.raster, cells, most=parameters.max_shift,
-                least_area=parameters.least_area, step=step,
-            )  # fmt: skip
+        photos = (later.photos(), earlier.photos()) if parameters.photos else (None, None)
+        most = parameters.max_shift
+        project.prepare()
+        with gdal_cache(_CACHE), open_pair(
+            later.raster, earlier.raster, cells, most=most, work=project.cache,
+            step=lambda part: step("reading", part),
+        ) as pair:  # fmt: skip
+            found = compare(pair, most=most, least_area=parameters.least_area, step=step)
+            found = weigh(found, photos, step=lambda part: step("photos", part))
         kept = _kept(found, parameters)
-        project.products.mkdir(parents=True, exist_ok=True)
         target = Path(parameters.target or project.products / "changes.gpkg")
         outputs = write_all(
             target, found, kept, (earlier.date, later.date), geojson=parameters.geojson
         )
-        doubts = doubts_of(found, kept, earlier, later)
+        doubts = [*doubts_of(found, kept, earlier, later), *photo_doubts(found, photos)]
         for line in doubts:
             feedback.warn(line)
         summary: dict[str, Any] = {
@@ -112,10 +120,12 @@ class ChangeTool(Algorithm[ChangeParameters]):
 
 # start and length of a step
 _STEPS = {
-    "registration": (0.0, 0.15),
-    "brightness": (0.15, 0.15),
-    "scores": (0.3, 0.5),
-    "regions": (0.8, 0.2),
+    "reading": (0.0, 0.3),
+    "registration": (0.3, 0.2),
+    "brightness": (0.5, 0.05),
+    "scores": (0.55, 0.2),
+    "regions": (0.75, 0.15),
+    "photos": (0.9, 0.1),
 }
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from georef_gis.project import Project
+    from processing_algorithms.change.photos import SitePhotos
 
 MOSAIC = "mosaic.tif"
 
@@ -24,11 +25,20 @@ class Side:
         Of the photos, ISO 8601, the first and the last if they differ; empty if unknown.
     sigma
         One sigma of a place, per axis, m; None if nobody says.
+    project
+        Whose photos the mosaic is made of; None if they are not known.
     """
 
     raster: Path
     date: str
     sigma: float | None
+    project: Project | None = None
+
+    def photos(self) -> SitePhotos | None:
+        """The photos that the mosaic is made of; None if there are none to be had."""
+        from processing_algorithms.change.photos import SitePhotos
+
+        return None if self.project is None else SitePhotos.of(self.project)
 
 
 def side_of_project(project: Project, given_date: str) -> Side:
@@ -48,7 +58,7 @@ def side_of_project(project: Project, given_date: str) -> Side:
     if (project.folder / "georef.gpkg").is_file():
         with project.reader() as reader:
             date, sigma = _date(reader), _sigma(reader)
-    return Side(raster=raster, date=given_date or date, sigma=sigma)
+    return Side(raster=raster, date=given_date or date, sigma=sigma, project=project)
 
 
 def side_of_folder(folder: Path, given_date: str) -> Side:

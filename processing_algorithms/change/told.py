@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from georef_gis.measure.change.detect import Change, Comparison
+from georef_gis.measure.change.detect import FEW_PHOTOS, LEANS, Change, Comparison
+from georef_gis.measure.change.evidence import FEW
 from georef_gis.measure.change.registration import LEAST_PART
+from processing_algorithms.change.photos import SitePhotos
 from processing_algorithms.change.sides import Side
 
 # deviations beyond which a shift is more than both accuracies allow
@@ -43,6 +45,7 @@ def figures_of(
         "changes": len(kept),
         "changed_m2": round(sum(k.judged.outline.area for k in kept) * side**2, 2),
         "expected_real": round(sum(k.confidence for k in kept), 1),
+        "leaning": sum(c.judged.kind == LEANS for c in found.changes),
         "kinds": ", ".join(f"{n} {k}" for k, n in Counter(c.judged.kind for c in kept).items()),
         "looked_at": len(found.changes),
     }  # fmt: skip
@@ -85,6 +88,33 @@ def doubts_of(found: Comparison, kept: Sequence[Change], earlier: Side, later: S
         doubts.append(
             f"the date of the {' and the '.join(missing)} mosaic is unknown; give {flags}"
         )
+    return doubts
+
+
+def photo_doubts(
+    found: Comparison, photos: tuple[SitePhotos | None, SitePhotos | None]
+) -> list[str]:
+    """What a user has to know of what the photos say, a line each."""
+    doubts = []
+    leaning = sum(one.judged.kind == LEANS for one in found.changes)
+    if leaning:
+        doubts.append(
+            f"{leaning} areas differ in the mosaics but not in all photos: what leans, or moved "
+            "while it was photographed; they have low confidence"
+        )
+    few = sum(one.evidence is not None and one.evidence.said == FEW_PHOTOS for one in found.changes)
+    if few:
+        doubts.append(
+            f"{few} areas are shown by fewer than {FEW} photos of a date, too few to tell what "
+            "leans from what changed; their confidence is lower for it"
+        )
+    if photos == (None, None) and found.changes:
+        doubts.append(
+            "no photos were asked: trees, roofs and trucks that lean another way count as changes"
+        )
+    lost = [name for some in photos if some is not None for name in some.lost]
+    if lost:
+        doubts.append(f"{len(lost)} photos cannot be read and say nothing, {lost[0]} for one")
     return doubts
 
 

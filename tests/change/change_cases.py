@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from shapely import affinity
 from shapely.geometry.base import BaseGeometry
 
-from georef_gis.measure.change.detect import Change
-from georef_gis.measure.change.pair import Cells
+from georef_gis.measure.change.detect import Change, Comparison, compare
+from georef_gis.measure.change.pair import Cells, common_cells, open_pair
+from georef_gis.measure.change.registration import Registration
+from georef_gis.measure.change.windows import register
 
 Image = NDArray[np.float32]
 
@@ -172,6 +174,18 @@ def write(path: Path, seen: Image, look: Look) -> None:
         count=samples.shape[2], dtype=look.dtype, crs=CRS, transform=transform,
     ) as file:  # fmt: skip
         file.write(np.moveaxis(samples, 2, 0))
+
+
+def compared(later: Path, earlier: Path, cell: float, *, most: float = 5.0) -> Comparison:
+    """A comparison of two maps by cells of so many metres."""
+    with open_pair(later, earlier, common_cells(later, earlier, cell), most=most) as pair:
+        return compare(pair, most=most, least_area=0.1)
+
+
+def registered(later: Path, earlier: Path, cell: float, *, most: float = 5.0) -> Registration:
+    """Registration of two maps on cells of so many metres."""
+    with open_pair(later, earlier, common_cells(later, earlier, cell), most=most) as pair:
+        return register(pair, most=most)[0]
 
 
 def truth_shapes(things: list[Thing], cells: Cells) -> list[BaseGeometry]:

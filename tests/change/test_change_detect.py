@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from change_cases import Image, Look, Thing, matches, render, truth_shapes
+from change_cases import Image, Look, Thing, compared, matches, render, truth_shapes
 
 from georef_gis.errors import CrsError, GeometryError, InputError
-from georef_gis.measure.change.detect import Change, Comparison, compare
+from georef_gis.measure.change.detect import Change, Comparison
 from georef_gis.measure.change.pair import common_cells
 
 CONE = Thing(9.0, 20.0, 0.5, 0.5, (0.9, 0.4, 0.1), disc=True)
@@ -35,8 +35,7 @@ def run(site: Image, tmp_path: Path) -> Compare:
         dtype = str(values["dtype"])
         render(paths[0], site, Look(things=later, dtype=dtype), rng)
         render(paths[1], site, Look(**{**values, "things": earlier}), rng)
-        cells = common_cells(*paths, 0.1)
-        found = compare(*paths, cells, most=5.0, least_area=0.1)
+        found = compared(*paths, 0.1)
         return found, [one for one in found.changes if one.confidence >= 0.5]
 
     return _run
@@ -97,8 +96,7 @@ def test_small_move_of_what_stands_up_is_no_change(run: Compare) -> None:
 
 def test_same_file_twice_shows_no_change(site: Image, tmp_path: Path) -> None:
     path = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
-    cells = common_cells(path, path, 0.1)
-    found = compare(path, path, cells, most=5.0, least_area=0.1)
+    found = compared(path, path, 0.1)
     # cells
     np.testing.assert_allclose(found.registration.shift, (0.0, 0.0), atol=0.01)
     assert [one for one in found.changes if one.confidence >= 0.5] == []
@@ -130,9 +128,8 @@ def test_bland_map_is_refused(site: Image, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     one = render(tmp_path / "one.tif", site, Look(), rng)
     flat = render(tmp_path / "flat.tif", np.full_like(site, 0.5), Look(noise=0.0), rng)
-    cells = common_cells(one, flat, 0.1)
     with pytest.raises(GeometryError, match="windows"):
-        compare(one, flat, cells, most=5.0, least_area=0.1)
+        compared(one, flat, 0.1)
 
 
 def test_file_that_is_no_raster_is_refused(site: Image, tmp_path: Path) -> None:

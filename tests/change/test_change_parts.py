@@ -1,14 +1,21 @@
 """Parts of the comparison: confidence, regions, outlines, notes of large grids."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from change_cases import Image, Look, render
 
+from georef_gis.errors import ExportError
+from georef_gis.measure.change import cell_map
 from georef_gis.measure.change.candidates import join
+from georef_gis.measure.change.cell_map import average_map, work_folder
 from georef_gis.measure.change.confidence import MOST, fit_mixture
 from georef_gis.measure.change.outline import outline
+from georef_gis.measure.change.pair import common_cells
 from georef_gis.measure.change.shown import Shown
 from georef_gis.measure.change.unrest import Unrest
-from georef_gis.rasters.resampled import MapHeader
+from georef_gis.rasters.resampled import MapHeader, open_bands_on
 
 THRESHOLD = 4.0
 
@@ -125,3 +132,39 @@ def test_unrest_is_of_the_surroundings_not_of_the_place_itself() -> None:
     there = np.array([310]), np.array([1000])
     assert unrest.about(*here) < 1.3
     assert unrest.about(*there) > 4.0
+
+
+def test_map_is_kept_on_cells_as_it_is_read_there(site: Image, tmp_path: Path) -> None:
+    path = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
+    header = common_cells(path, path, 0.1).header
+    moved = (1.0, 0.0, 3.4, 0.0, 1.0, -2.3)
+    kept = average_map(path, header, tmp_path / "kept", margin=7, placed=moved)
+    window = (40, 50, 60, 30)
+    with open_bands_on(path, header, moved=moved) as bands:
+        samples, valid = bands.read(window, [1, 2, 3])
+    read, shown = kept.read(window)
+    # grey values; blocks are warped apart from each other
+    np.testing.assert_allclose(read.astype(float), samples, atol=1.0)
+    np.testing.assert_array_equal(shown, valid.all(axis=2))
+    beyond = kept.read((-50, 0, 40, 10))
+    assert not beyond[1].any()
+
+
+def test_work_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    missing = tmp_path / "none"
+    with pytest.raises(ExportError, match="permission"), work_folder(missing):
+        pass
+
+
+def test_full_disk_is_one_line(
+    site: Image, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
+    header = common_cells(path, path, 0.1).header
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(cell_map, "_strip", full)
+    with pytest.raises(ExportError, match=r"\d MB or more.*No space.*--cell"):
+        average_map(path, header, tmp_path / "kept")

@@ -1,15 +1,16 @@
 """How two maps lie upon each other is found, with a sigma that holds, or refused."""
 
+import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from change_cases import CUT, FINE, Image, Look, Thing, ground, render
+from change_cases import CUT, FINE, Image, Look, Thing, ground, registered, render, write
 
 from georef_gis.errors import GeometryError
 from georef_gis.measure.change.pair import common_cells
 from georef_gis.measure.change.registration import MODELS, WindowShift, fit_registration
-from georef_gis.measure.change.windows import register
 
 
 def _windows(
@@ -110,10 +111,9 @@ def errors(site: Image, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
             things=[Thing(*rng.uniform(6, 24, 2), 4.0, 2.0, (0.8, 0.1, 0.1))],
         )  # fmt: skip
         earlier = render(folder / "earlier.tif", site, look, rng)
-        cells = common_cells(later, earlier, 0.1)
-        one = register(later, earlier, cells, most=5.0)
+        one = registered(later, earlier, 0.1)
         sigma = np.sqrt(np.diag(one.covariance))
-        found.append((np.array(one.shift) * cells.metres - shift, sigma * cells.metres))
+        found.append((np.array(one.shift) * 0.1 - shift, sigma * 0.1))
     return np.array(found)
 
 
@@ -132,8 +132,7 @@ def test_scale_and_turn_are_found(site: Image, tmp_path: Path) -> None:
     later = render(tmp_path / "later.tif", site, Look(), rng)
     look = Look(scale=1.004, turn=0.003, shift=(0.5, -0.3))
     earlier = render(tmp_path / "earlier.tif", site, look, rng)
-    cells = common_cells(later, earlier, 0.1)
-    found = register(later, earlier, cells, most=5.0)
+    found = registered(later, earlier, 0.1)
     a, b, _, d, e, _ = found.moved
     assert found.model == "similarity"
     # the earlier map shows the ground smaller and turned back; 26 m at 0.1 cells is 4e-4
@@ -147,18 +146,31 @@ def test_another_place_is_refused(site: Image, tmp_path: Path) -> None:
     later = render(tmp_path / "later.tif", site, Look(), rng)
     other = np.ascontiguousarray(ground(np.random.default_rng(77), 30.0)[::-1].swapaxes(0, 1))
     earlier = render(tmp_path / "earlier.tif", other, Look(), rng)
-    cells = common_cells(later, earlier, 0.1)
     with pytest.raises(GeometryError, match="same place"):
-        register(later, earlier, cells, most=5.0)
+        registered(later, earlier, 0.1)
+
+
+@pytest.mark.parametrize(("number", "other"), [(3, 4), (9, 12)])
+def test_photos_of_two_real_places_are_refused(number: int, other: int, tmp_path: Path) -> None:
+    folder = os.environ.get("GEOREF_DATA")
+    if not folder:
+        pytest.skip("GEOREF_DATA is not set: no real photos")
+    paths = []
+    for name, which in (("brighton_beach", number), ("seneca16", other)):
+        photo = sorted((Path(folder) / name / "photos").iterdir())[which]
+        seen = cv2.imread(str(photo), cv2.IMREAD_REDUCED_COLOR_2)
+        paths.append(tmp_path / f"{name}.tif")
+        write(paths[-1], seen[:1100, :1600, ::-1] / 255.0, Look(jpeg=None))
+    with pytest.raises(GeometryError, match="same place"):
+        registered(*paths, 0.1)
 
 
 def test_shift_beyond_what_is_believed_is_refused(site: Image, tmp_path: Path) -> None:
     rng = np.random.default_rng(9)
     later = render(tmp_path / "later.tif", site, Look(), rng)
     earlier = render(tmp_path / "earlier.tif", site, Look(shift=(3.0, 0.0)), rng)
-    cells = common_cells(later, earlier, 0.1)
     with pytest.raises(GeometryError, match="max-shift"):
-        register(later, earlier, cells, most=1.0)
+        registered(later, earlier, 0.1, most=1.0)
 
 
 def test_grid_is_in_the_ground_that_both_show(site: Image, tmp_path: Path) -> None:

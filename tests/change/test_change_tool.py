@@ -12,9 +12,10 @@ import geopandas
 import numpy as np
 import pytest
 import rasterio
-from change_cases import CRS, LEFT, TOP, Image, Look, Thing, render
+from change_cases import CRS, LEFT, TOP, Image, Look, Thing, compared, render
 
 from georef_gis.project import Project
+from processing_algorithms.change.photos import SitePhotos
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 from tool_cases import Done, georef
@@ -111,7 +112,7 @@ def test_style_is_in_the_layer_and_beside_it(done: tuple[Path, dict[str, Any]]) 
     for text in (inside, (folder / "changes.qml").read_text()):
         root = ET.fromstring(text)
         values = {one.get("value") for one in root.iter("category")}
-        assert values == {"brighter", "darker", "other", "shadow?"}
+        assert values == {"brighter", "darker", "other", "shadow?", "leans?"}
 
 
 def test_summary_tells_the_shift_and_that_mosaics_stay(
@@ -126,14 +127,11 @@ def test_summary_tells_the_shift_and_that_mosaics_stay(
 
 
 def test_shift_beyond_both_accuracies_is_told(made: Path) -> None:
-    from georef_gis.measure.change.detect import compare
-    from georef_gis.measure.change.pair import common_cells
     from processing_algorithms.change.sides import Side
     from processing_algorithms.change.told import doubts_of
 
     paths = [made / name / "products" / "mosaic.tif" for name in ("now", "then")]
-    cells = common_cells(paths[0], paths[1], 0.12)
-    found = compare(paths[0], paths[1], cells, most=5.0, least_area=0.1)
+    found = compared(*paths, 0.12)
 
     def told(sigma: float) -> bool:
         sides = [Side(raster=path, date="2024-01-01", sigma=sigma) for path in paths]
@@ -142,6 +140,55 @@ def test_shift_beyond_both_accuracies_is_told(made: Path) -> None:
     # the shift is 0.45 m
     assert told(0.05)
     assert not told(0.2)
+
+
+class _Blind:
+    """Photos of a project that show nothing, and one of which is gone."""
+
+    def __init__(self, asked: list[str], name: str) -> None:
+        self.asked, self.name = asked, name
+        self.lost = {"IMG_1.jpg": "no such file"}
+
+    def looks(self, *_: object) -> list[object]:
+        self.asked.append(self.name)
+        return []
+
+
+def test_photos_of_both_projects_are_asked(
+    run: Run, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(SitePhotos, "of", lambda project: _Blind(asked, project.folder.name))
+    target = tmp_path / "asked.gpkg"
+    result = run("--earlier-project", made / "then", "--target", target)
+    assert set(asked) == {"now", "then"}
+    layer = geopandas.read_file(target, layer="changes")
+    assert list(layer["evidence"]) == ["few photos"] * 2
+    assert list(layer["photos"]) == [0, 0]
+    # sure areas, of 0.99, that no photo shows
+    np.testing.assert_allclose(layer["confidence"], 0.594, atol=0.03)
+    assert "too few to tell" in result.line("2 areas")
+    assert "IMG_1.jpg" in result.line("cannot be read")
+
+
+def test_photos_of_maps_given_as_files_are_not_asked(
+    run: Run, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    monkeypatch.setattr(SitePhotos, "of", lambda project: _Blind(asked, project.folder.name))
+    paths = [made / name / "products" / "mosaic.tif" for name in ("then", "now")]
+    copy = tmp_path / "later.tif"
+    copy.write_bytes(paths[1].read_bytes())
+    result = run(paths[0], "--later", copy, "--target", tmp_path / "files.gpkg")
+    assert asked == []
+    assert "lean another way" in result.line("no photos were asked")
+
+
+def test_files_of_the_comparison_are_gone_in_the_end(
+    done: tuple[Path, dict[str, Any]], made: Path
+) -> None:
+    assert done[1]["changes"]
+    assert not list((made / "now" / "cache").glob("change_*"))
 
 
 @pytest.mark.parametrize(

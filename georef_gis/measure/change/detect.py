@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from georef_gis.measure.change.candidates import MOST_PART, Region, join
 from georef_gis.measure.change.confidence import Mixture, fit_mixture
 from georef_gis.measure.change.judge import Judged, judge
-from georef_gis.measure.change.pair import Cells, open_pair
+from georef_gis.measure.change.pair import Cells, MapPair
 from georef_gis.measure.change.radiometry import Radiometry, learn_radiometry
 from georef_gis.measure.change.registration import Registration
 from georef_gis.measure.change.score import (
@@ -33,9 +32,33 @@ _REACH, _MOST_REACH = 2.0, 6
 MOST_REGIONS = 4000
 # a shadow's confidence as a change of what is there
 SHADOW = 0.3
+SHADOW_KIND = "shadow?"
+# kind of what photos explain, and what they say of a region
+LEANS = "leans?"
+AGREE, DIFFER, FEW_PHOTOS = "photos agree", "photos differ", "few photos"
 # unrest beyond which ground is restless, as woods and water are
 _RESTLESS = 1.5
 Step = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """What the photos say of a region.
+
+    Parameters
+    ----------
+    said
+        ``photos agree``: a photo of one date shows what the other date's mosaic shows;
+        ``photos differ``: none does; ``few photos``: none does, but so few cannot tell.
+    photos
+        How many were compared; of those that agree the last one is the first that does.
+    score
+        The least that one of them leaves of the score; inf if there is none.
+    """
+
+    said: str
+    photos: int
+    score: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,10 +69,13 @@ class Change:
     ----------
     confidence
         Probability that it is a change.
+    evidence
+        What photos say of it; None if none were looked at.
     """
 
     judged: Judged
     confidence: float
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +88,8 @@ class Comparison:
         What regions of calm and of restless ground are a mixture of.
     changes
         All regions, by falling confidence.
+    pair
+        The maps as they lie upon each other, while they are open.
     compared
         Cells that both maps show.
     left_out
@@ -78,6 +106,7 @@ class Comparison:
     deviations: Deviations
     mixtures: tuple[Mixture, Mixture]
     changes: Sequence[Change]
+    pair: MapPair
     compared: int
     left_out: int
     reach: int
@@ -85,9 +114,8 @@ class Comparison:
 
 
 def compare(
-    later: Path, earlier: Path, cells: Cells, *, most: float, least_area: float,
-    step: Step = lambda _, __: None,
-) -> Comparison:  # fmt: skip
+    pair: MapPair, *, most: float, least_area: float, step: Step = lambda _, __: None
+) -> Comparison:
     """Compare two maps.
 
     Parameters
@@ -106,28 +134,24 @@ def compare(
     GeometryError
         If they share no ground, or no shift is found that most of it agrees on.
     """
-    registration = register(
-        later, earlier, cells, most=most, step=lambda part: step("registration", part)
-    )
+    cells = pair.cells
+    registration, pair = register(pair, most=most, step=lambda part: step("registration", part))
     moved = registration.moved
-    radiometry = learn_radiometry(
-        later, earlier, cells, moved, step=lambda part: step("brightness", part)
-    )
+    radiometry = learn_radiometry(pair, moved, step=lambda part: step("brightness", part))
     reach = min(_MOST_REACH, max(1, math.ceil(_REACH * registration.rmse)))
-    with open_pair(later, earlier, cells.header, moved=moved) as pair:
-        differ = Differ(pair=pair, radiometry=radiometry, reach=reach, metres=cells.metres)
-        deviations = learn_deviations(differ)
-        notes = Unrest.over(cells.header), Shown.over(cells.header)
-        regions, compared, left_out = _regions(differ, deviations, notes, step)
-        least = max(3.0, 0.25 * least_area / cells.metres**2)
-        regions = [one for one in regions if len(one.rows) >= least]
-        regions = sorted(regions, key=lambda one: -one.peak)[:MOST_REGIONS]
-        judged = _judged(differ, regions, deviations, notes[0], step)
+    differ = Differ(pair=pair, radiometry=radiometry, reach=reach, metres=cells.metres)
+    deviations = learn_deviations(differ)
+    notes = Unrest.over(cells.header), Shown.over(cells.header)
+    regions, compared, left_out = _regions(differ, deviations, notes, step)
+    least = max(3.0, 0.25 * least_area / cells.metres**2)
+    regions = [one for one in regions if len(one.rows) >= least]
+    regions = sorted(regions, key=lambda one: -one.peak)[:MOST_REGIONS]
+    judged = _judged(differ, regions, deviations, notes[0], step)
     mixtures, changes = _with_confidence(judged, deviations.threshold)
     return Comparison(
         cells=cells, registration=registration, radiometry=radiometry, deviations=deviations,
         mixtures=mixtures, changes=sorted(changes, key=lambda one: -one.confidence),
-        compared=compared, left_out=left_out, reach=reach, shown=notes[1],
+        pair=pair, compared=compared, left_out=left_out, reach=reach, shown=notes[1],
     )  # fmt: skip
 
 
@@ -139,7 +163,7 @@ def _regions(
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     compared = 0
     for number, (tile, outer) in enumerate(tiles):
-        scores = inside(score(differ, outer, deviations)[0], outer, tile)
+        scores = inside(score(differ, outer, deviations), outer, tile)
         notes[0].note(scores, tile)
         notes[1].note(tile, np.isfinite(scores))
         compared += int(np.isfinite(scores).sum())
@@ -173,6 +197,13 @@ def _judged(
     return judged
 
 
+def confidence_of(found: Comparison, judged: Judged, score: float) -> float:
+    """Confidence that a region would have with another score."""
+    mixture = found.mixtures[judged.unrest > _RESTLESS]
+    factor = SHADOW if judged.kind == SHADOW_KIND else 1.0
+    return float(mixture.confidence(np.array([score]))[0]) * factor
+
+
 def _with_confidence(
     judged: Sequence[Judged], threshold: float
 ) -> tuple[tuple[Mixture, Mixture], list[Change]]:
@@ -184,6 +215,6 @@ def _with_confidence(
         mixture = fit_mixture(scores, threshold)
         mixtures.append(mixture)
         for one, part in zip(some, mixture.confidence(scores), strict=True):
-            factor = SHADOW if one.kind == "shadow?" else 1.0
+            factor = SHADOW if one.kind == SHADOW_KIND else 1.0
             changes.append(Change(judged=one, confidence=float(part) * factor))
     return (mixtures[0], mixtures[1]), changes

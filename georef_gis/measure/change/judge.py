@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from georef_gis.measure.change.candidates import Region
 from georef_gis.measure.change.outline import Outline, outline
 from georef_gis.measure.change.score import SIZES, Deviations, Differ, padded
+from georef_gis.rasters.reading import Window
 
 Image = NDArray[Any]
 
@@ -68,9 +69,8 @@ def judge(differ: Differ, region: Region, deviations: Deviations, unrest: float)
     unrest
         How much higher scores are about it than on ground that has not changed.
     """
-    move = int(np.clip(_LEAN / differ.metres, 2 * differ.reach + 2, _MOST_MOVE))
-    window = padded(region.window, _PAD + move, differ.pair.header)
-    if window[2] * window[3] > _MOST:
+    move, window = move_of(differ), window_about(differ, region)
+    if window is None:
         return _vast(region, unrest)
     later, earlier, valid = differ.alike(window)
     cells = np.zeros(valid.shape, np.bool_)
@@ -85,7 +85,7 @@ def judge(differ: Differ, region: Region, deviations: Deviations, unrest: float)
     found = outline(np.asarray(magnitude, np.float32), cells, window[:2])
     if found is None:
         return None
-    left = _left_by_moves(later / usual, earlier / usual, found.mask, move)
+    left = left_by_moves(later / usual, earlier / usual, found.mask, move)
     bright = float(np.median(raw[..., 0][found.mask]))
     kind = _kind(raw, found.mask)
     if _is_shadow(later, earlier, found.mask):
@@ -94,6 +94,17 @@ def judge(differ: Differ, region: Region, deviations: Deviations, unrest: float)
         region=region, outline=found, score=region.peak * left**2 / unrest, kind=kind,
         difference=float(np.expm1(bright)), moved=left, unrest=unrest,
     )  # fmt: skip
+
+
+def move_of(differ: Differ) -> int:
+    """Cells that what stands up may lean by from one flight to the next."""
+    return int(np.clip(_LEAN / differ.metres, 2 * differ.reach + 2, _MOST_MOVE))
+
+
+def window_about(differ: Differ, region: Region) -> Window | None:
+    """Window that a region is judged in; None if it is too large to be read at once."""
+    window = padded(region.window, _PAD + move_of(differ), differ.pair.header)
+    return window if window[2] * window[3] <= _MOST else None
 
 
 def _vast(region: Region, unrest: float) -> Judged | None:
@@ -110,7 +121,7 @@ def _vast(region: Region, unrest: float) -> Judged | None:
     )  # fmt: skip
 
 
-def _left_by_moves(later: Image, earlier: Image, mask: NDArray[np.bool_], reach: int) -> float:
+def left_by_moves(later: Image, earlier: Image, mask: NDArray[np.bool_], reach: int) -> float:
     """Part of the squared difference that moves leave.
 
     What is there now must be found near by in the past, and what was there near by now: bare ground

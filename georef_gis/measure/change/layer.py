@@ -30,7 +30,7 @@ LAYER = Table(
     columns={
         "kind": "TEXT", "confidence": "REAL", "area_m2": "REAL", "sigma_area_m2": "REAL",
         "difference_percent": "REAL", "score": "REAL", "moves_leave": "REAL",
-        "earlier_date": "TEXT", "later_date": "TEXT",
+        "evidence": "TEXT", "photos": "INTEGER", "earlier_date": "TEXT", "later_date": "TEXT",
     },
 )  # fmt: skip
 # as QGIS makes it
@@ -43,7 +43,7 @@ _STYLES = """CREATE TABLE layer_styles (
 # readable by the colour-blind (Okabe and Ito)
 _COLOURS = {
     "brighter": "230,159,0", "darker": "0,114,178", "other": "204,121,167",
-    "shadow?": "120,120,120",
+    "shadow?": "120,120,120", "leans?": "0,158,115",
 }  # fmt: skip
 # degrees: a millimetre
 _DIGITS = 8
@@ -80,6 +80,8 @@ def rows_of(changes: Sequence[Change], cells: Cells, dates: tuple[str, str]) -> 
             "difference_percent": _rounded(100.0 * one.difference, 1),
             "score": round(one.score, 2),
             "moves_leave": round(one.moved, 3),
+            "evidence": change.evidence.said if change.evidence else None,
+            "photos": change.evidence.photos if change.evidence else None,
             "earlier_date": dates[0] or None,
             "later_date": dates[1] or None,
         }
@@ -109,6 +111,7 @@ def write_geopackage(path: Path, rows: Sequence[ChangeRow], crs_wkt: str) -> Non
             connection.execute("BEGIN")
             _fill(connection, rows, crs_wkt)
             connection.execute("COMMIT")
+        geopackage.forget_journals(path)
         os.replace(part, path)
     except (sqlite3.Error, OSError) as error:
         raise ExportError(

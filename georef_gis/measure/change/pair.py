@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import CrsError, GeometryError, InputError
 from georef_gis.geodesy import CRS, metres_per_unit
+from georef_gis.measure.change.cell_map import CellMap, average_map, band_numbers, work_folder
 from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.reading import Window
-from georef_gis.rasters.resampled import (
-    UNMOVED,
-    Bands,
-    MapHeader,
-    coarse_valid,
-    open_bands,
-    open_bands_on,
-)
+from georef_gis.rasters.resampled import UNMOVED, MapHeader, coarse_valid, open_bands
 
 Image = NDArray[np.float32]
 
@@ -35,6 +30,10 @@ _DEGREE = 111_320.0
 _WHITE_WINDOWS, _WHITE_SIDE, _WHITE_PART = 5, 128, 0.995
 # colours that a map of this many bands has in its first three
 _COLOURS = 3
+# cells about a window that moving it may need, part of a cell that must be shown
+_RIM, _WHOLE = 4, 0.98
+# cells of a move that are none
+_NEAR = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,40 +77,134 @@ class Views:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapPair:
-    """Both maps, open on the grid.
+    """Both maps on the cells of a grid, or on cells a whole number of times longer.
 
     Parameters
     ----------
+    cells
+        The grid that both maps were averaged on.
     colour
         Whether both have colours to compare, in the order red, green, blue.
     whites
         Samples that count as 1, of the later and the earlier map.
+    earlier_path
+        File of the earlier map.
+    factor
+        Cells of the grid along a cell that is read.
+    moved
+        Cell that is read, (0, 0) = outer corner -> such a cell where the earlier map shows the
+        same.
     """
 
-    later: Bands
-    earlier: Bands
-    header: MapHeader
+    later: CellMap
+    earlier: CellMap
+    earlier_path: Path
+    cells: Cells
     colour: bool
     whites: tuple[float, float]
+    factor: int = 1
+    moved: Transform = UNMOVED
+
+    @property
+    def header(self) -> MapHeader:
+        """Of the grid whose cells are read."""
+        return coarser(self.cells.header, self.factor)
+
+    @property
+    def names(self) -> str:
+        """Both maps, for messages."""
+        return f"{self.later.name} and {self.earlier.name}"
+
+    def seen(self, *, moved: Transform, factor: int = 1) -> MapPair:
+        """The pair with the earlier map moved, and by cells so many times longer."""
+        return replace(self, moved=moved, factor=factor)
 
     def read(self, window: Window) -> Views:
         """A window of the grid: column, row, width, height."""
-        first, valid = self._one(self.later, window, self.whites[0])
-        second, seen = self._one(self.earlier, window, self.whites[1])
-        return Views(later=first, earlier=second, valid=valid & seen)
+        later, valid = self._one(self.later, window, self.whites[0])
+        left = self._left()
+        if self._farthest(left) < _NEAR:
+            earlier, seen = self._one(self.earlier, window, self.whites[1])
+        else:
+            earlier, seen = self._moved(window, left)
+        return Views(later=later, earlier=earlier, valid=valid & seen)
 
-    def _one(self, bands: Bands, window: Window, white: float) -> tuple[Image, NDArray[np.bool_]]:
-        numbers = band_numbers(bands.header)
-        samples, valid = bands.read(window, numbers)
+    def _one(self, one: CellMap, window: Window, white: float) -> tuple[Image, NDArray[np.bool_]]:
+        by = self.factor
+        col, row, width, height = (by * part for part in window)
+        samples, valid = one.read((col, row, width, height))
         values = samples.astype(np.float32) / np.float32(white)
-        if not self.colour and len(numbers) > 1:
+        if not self.colour and values.shape[2] > 1:
             values = values.mean(axis=2, keepdims=True)
-        return np.nan_to_num(values, copy=False), np.asarray(valid.all(axis=2))
+        values = np.nan_to_num(values, copy=False)
+        if by == 1:
+            return values, valid
+        shape = window[2], window[3]
+        shown = cv2.resize(valid.astype(np.float32), shape, interpolation=cv2.INTER_AREA)
+        values = cv2.resize(values, shape, interpolation=cv2.INTER_AREA)
+        return np.asarray(values.reshape(window[3], window[2], -1), np.float32), shown > _WHOLE
+
+    def _left(self) -> Transform:
+        """What of the move is left to do, in cells that are read, as the earlier map is placed."""
+        placed, moved = matrix_of(self.earlier.placed), matrix_of(self.moved)
+        placed[:2, 2] /= self.factor
+        a, b, c, d, e, f = np.linalg.solve(placed, moved)[:2].ravel().tolist()
+        return a, b, c, d, e, f
+
+    def _farthest(self, moved: Transform) -> float:
+        """Cells by which a move takes a corner of the grid off, at most."""
+        corners = np.array(
+            [(x, y) for x in (0, self.header.width) for y in (0, self.header.height)]
+        )
+        off = corners @ (matrix_of(moved)[:2, :2] - np.eye(2)).T + matrix_of(moved)[:2, 2]
+        return float(np.hypot(*off.T).max())
+
+    def placed_anew(self) -> MapPair:
+        """The pair with the earlier map averaged where it was moved to.
+
+        Cells that lie between those of an average are made of several, and differ from an average
+        by what is finer than they are.
+        """
+        if self._farthest(self._left()) < _NEAR:
+            return self
+        old = self.earlier
+        new = average_map(
+            self.earlier_path, self.cells.header, old.samples.with_name(f"{old.samples.stem}_anew"),
+            placed=self.moved,
+        )  # fmt: skip
+        for path in (old.samples, old.shown):
+            path.unlink(missing_ok=True)
+        return replace(self, earlier=new)
+
+    def _moved(self, window: Window, left: Transform) -> tuple[Image, NDArray[np.bool_]]:
+        """The earlier map where it shows what the later one shows in a window."""
+        a, b, c, d, e, f = left
+        col, row, width, height = window
+        x, y = (np.array([start, start + size]) for start, size in ((col, width), (row, height)))
+        corners = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        there = corners @ np.array([[a, d], [b, e]]) + np.array([c, f])
+        low = np.floor(there.min(axis=0)).astype(int) - _RIM
+        high = np.ceil(there.max(axis=0)).astype(int) + _RIM
+        part = (int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+        values, valid = self._one(self.earlier, part, self.whites[1])
+        # of middles of cells in the window to middles of cells in the part
+        linear = np.array([[a, b], [d, e]])
+        offset = linear @ [col + 0.5, row + 0.5] + np.array([c, f]) - low - 0.5
+        matrix = np.column_stack([linear, offset])
+        flags = cv2.WARP_INVERSE_MAP
+        moved = cv2.warpAffine(
+            values, matrix, (width, height), flags=flags | cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        shown = cv2.warpAffine(
+            valid.astype(np.float32), matrix, (width, height), flags=flags | cv2.INTER_LINEAR
+        )
+        return np.asarray(moved.reshape(height, width, -1), np.float32), shown > _WHOLE
 
 
-def band_numbers(header: MapHeader) -> list[int]:
-    """Bands that are compared: three colours, or the first of fewer."""
-    return [1, 2, 3] if len(header.bands) >= _COLOURS else [1]
+def matrix_of(moved: Transform) -> NDArray[np.float64]:
+    """A transform as a matrix, shape (3, 3)."""
+    return np.vstack([np.reshape(moved, (2, 3)), [0.0, 0.0, 1.0]])
 
 
 def gsd_of(path: Path) -> float:
@@ -210,27 +303,41 @@ def coarser(header: MapHeader, factor: int) -> MapHeader:
 
 @contextmanager
 def open_pair(
-    later: Path, earlier: Path, header: MapHeader, *, moved: Transform = UNMOVED
-) -> Iterator[MapPair]:
-    """Open both maps on a grid.
+    later: Path, earlier: Path, cells: Cells, *, most: float, work: Path | None = None,
+    step: Callable[[float], None] = lambda _: None,
+) -> Iterator[MapPair]:  # fmt: skip
+    """Average both maps onto the cells, in files that are gone in the end.
 
     Parameters
     ----------
-    moved
-        Cell of the grid -> cell where the earlier map shows the same.
+    most
+        Largest shift that the earlier map is looked for at, m.
+    work
+        Folder for the files; by default the system's own.
+    step
+        Called with the part done; may raise to cancel.
 
     Raises
     ------
     InputError, CrsError
         If one of them cannot be read, or be brought to the grid.
+    ExportError
+        If the files cannot be written.
     """
-    with ExitStack() as stack:
-        first = stack.enter_context(open_bands_on(later, header))
-        second = stack.enter_context(open_bands_on(earlier, header, moved=moved))
-        both = [len(band_numbers(one.header)) == _COLOURS for one in (first, second)]
+    margin = math.ceil(most / cells.metres) + _RIM
+    with work_folder(work) as folder:
+        first = average_map(later, cells.header, folder / "later", step=lambda part: step(part / 2))
+        second = average_map(
+            earlier, cells.header, folder / "earlier", margin=margin,
+            step=lambda part: step(0.5 + part / 2),
+        )  # fmt: skip
         # of the files, so that grids of any cell have the same
         whites = (_white(later), _white(earlier))
-        yield MapPair(later=first, earlier=second, header=header, colour=all(both), whites=whites)
+        colour = first.shape[2] == second.shape[2] == _COLOURS
+        yield MapPair(
+            later=first, earlier=second, earlier_path=earlier, cells=cells, colour=colour,
+            whites=whites,
+        )  # fmt: skip
 
 
 def _white(path: Path) -> float:

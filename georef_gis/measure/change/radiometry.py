@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
-from georef_gis.measure.change.pair import Cells, MapPair, Views, coarser, open_pair
+from georef_gis.measure.change.pair import MapPair, Views
 from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.reading import Window
+from georef_gis.rasters.resampled import MapHeader
 
 Image = NDArray[Any]
 
@@ -84,12 +84,7 @@ def _log(values: Image) -> Image:
 
 
 def learn_radiometry(
-    later: Path,
-    earlier: Path,
-    cells: Cells,
-    moved: Transform,
-    *,
-    step: Callable[[float], None] = lambda _: None,
+    pair: MapPair, moved: Transform, *, step: Callable[[float], None] = lambda _: None
 ) -> Radiometry:
     """Read both once, coarsely, and compare.
 
@@ -105,45 +100,47 @@ def learn_radiometry(
     GeometryError
         If no block is shown by both.
     """
-    header = coarser(cells.header, _COARSE)
     a, b, c, d, e, f = moved
-    coarse = (a, b, c / _COARSE, d, e, f / _COARSE)
+    pair = pair.seen(moved=(a, b, c / _COARSE, d, e, f / _COARSE), factor=_COARSE)
+    header = pair.header
     sample: list[Image] = []
     medians: list[tuple[int, int, Image]] = []
-    with open_pair(later, earlier, header, moved=coarse) as pair:
-        tiles = _tiles(header.width, header.height)
-        for number, window in enumerate(tiles):
-            views = pair.read(window)
-            _take(views, sample, len(tiles))
-            medians.append((window[0], window[1], _medians(views)))
-            step((number + 1) / len(tiles))
-        channels = _channels(pair)
+    tiles = _tiles(header.width, header.height)
+    for number, window in enumerate(tiles):
+        views = pair.read(window)
+        _take(views, sample, len(tiles))
+        medians.append((window[0], window[1], _medians(views)))
+        step((number + 1) / len(tiles))
+    channels = 3 if pair.colour else 1
     values = np.concatenate(sample) if sample else np.zeros((0, 2, channels), np.float32)
     if len(values) < 100:
         raise GeometryError(
-            f"{later.name} and {earlier.name} show too little common ground after they were "
+            f"{pair.names} show too little common ground after they were "
             "moved upon each other; check that they show the same place"
         )
     contrast = _contrast(values)
+    bright = values.mean(axis=2)
+    return Radiometry(
+        contrast=contrast,
+        level=_smooth(_levels(medians, contrast, header)),
+        correlation=float(np.corrcoef(bright[:, 0], bright[:, 1])[0, 1]),
+    )
+
+
+def _levels(
+    medians: list[tuple[int, int, Image]], contrast: NDArray[np.float32], header: MapHeader
+) -> Image:
+    """Level of every block, NaN where little is shown: shape (rows, cols, channels)."""
     side = BLOCK // _COARSE
-    shape = (math.ceil(header.height / side), math.ceil(header.width / side))
-    level = np.full((*shape, channels), np.nan, np.float32)
+    shape = (math.ceil(header.height / side), math.ceil(header.width / side), len(contrast))
+    level = np.full(shape, np.nan, np.float32)
     for col, row, part in medians:
         r, k = row // side, col // side
         # medians of both dates: of their difference where the contrast is one
         level[r : r + part.shape[0], k : k + part.shape[1]] = part[..., 0, :] - (
             part[..., 1, :] * contrast
         )
-    bright = values.mean(axis=2)
-    return Radiometry(
-        contrast=contrast,
-        level=_smooth(level),
-        correlation=float(np.corrcoef(bright[:, 0], bright[:, 1])[0, 1]),
-    )
-
-
-def _channels(pair: MapPair) -> int:
-    return 3 if pair.colour else 1
+    return level
 
 
 def _tiles(width: int, height: int) -> list[Window]:

@@ -26,7 +26,7 @@ LEAST_AGREEING, LEAST_PART = 4, 0.3
 # cells: windows within this of each other speak of one shift
 _ONE_SHIFT = 3.0
 # cells; what resampling and the interpolated peak of a window leave, common to all windows
-_RESAMPLING = 0.007
+_RESAMPLING = 0.0055
 # windows for each parameter of a model
 _PER_PARAMETER = 3
 # deviations beyond which a window is left out, cells that count as the least scatter

@@ -78,8 +78,12 @@ class Differ:
     def alike(self, window: Window) -> tuple[Image, Image, NDArray[np.bool_]]:
         """Later, earlier made like it, and where both show the ground."""
         views = self.pair.read(window)
+        return *self.made_alike(views, window), views.valid
+
+    def made_alike(self, views: Views, window: Window) -> tuple[Image, Image]:
+        """Later, and earlier made like it, of what was read of a window."""
         later, earlier = self.radiometry.alike(views, window)
-        return _calm(later, views), _calm(earlier, views), views.valid
+        return _calm(later, views), _calm(earlier, views)
 
     def beyond(self, later: Image, earlier: Image) -> Image:
         """Difference that no cell within reach explains, with its sign."""
@@ -191,19 +195,25 @@ def _inner(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(cv2.erode(valid.astype(np.uint8), kernel, borderValue=1) > 0)
 
 
-def score(differ: Differ, window: Window, deviations: Deviations) -> tuple[Image, Image]:
-    """Scores of a window, NaN where not both show the ground, and whitened magnitudes."""
+def score(differ: Differ, window: Window, deviations: Deviations) -> Image:
+    """Scores of a window, NaN where not both show the ground."""
     later, earlier, valid = differ.alike(window)
+    best = scores_of(differ, later, earlier, deviations)
+    best[~_inner(valid)] = np.nan
+    return best
+
+
+def scores_of(differ: Differ, later: Image, earlier: Image, deviations: Deviations) -> Image:
+    """Scores of what was made alike, shape (rows, cols)."""
     field = differ.beyond(later, earlier)
     classes = np.searchsorted(deviations.edges, _texture(later, earlier))
-    best = np.zeros(valid.shape, np.float32)
+    best = np.zeros(field.shape[:2], np.float32)
     for i, size in enumerate(SIZES):
         averages = np.abs(_averages(field, size))
         for channel in range(field.shape[2]):
             sigma = deviations.sigma[i, channel].astype(np.float32)[classes]
             np.maximum(best, averages[..., channel] / sigma, out=best)
-    best[~_inner(valid)] = np.nan
-    return best, field
+    return best
 
 
 def tiles_of(header: MapHeader) -> Iterator[tuple[Window, Window]]:

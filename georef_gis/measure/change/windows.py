@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
-from georef_gis.measure.change.pair import Cells, MapPair, coarser, open_pair
+from georef_gis.measure.change.pair import MapPair, coarser, matrix_of
 from georef_gis.measure.change.registration import (
     Registration,
     WindowShift,
     fit_registration,
 )
 from georef_gis.rasters.edge_shift import edge_shift
-from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.resampled import UNMOVED, MapHeader
 
 # cells of a window; cells it may be shorter on small sites
@@ -35,9 +33,9 @@ Step = Callable[[float], None]
 
 
 def register(
-    later: Path, earlier: Path, cells: Cells, *, most: float, step: Step = lambda _: None
-) -> Registration:
-    """Registration of the earlier map on the later one, on the grid of the cells.
+    pair: MapPair, *, most: float, step: Step = lambda _: None
+) -> tuple[Registration, MapPair]:
+    """Registration of the earlier map on the later one, and the pair with it so placed.
 
     Parameters
     ----------
@@ -51,37 +49,40 @@ def register(
     GeometryError
         If too few windows agree.
     """
+    cells = pair.cells
     reach = most / cells.metres
     factor = 1
     while reach / factor > _COARSE_MOST and _side(coarser(cells.header, factor * 2)):
         factor *= 2
     try:
-        coarse = _level(later, earlier, coarser(cells.header, factor), UNMOVED,
-                        most=max(reach / factor, 2.0), tries=_COARSE_TRIED, step=step)  # fmt: skip
+        coarse = _level(
+            pair.seen(moved=UNMOVED, factor=factor), most=max(reach / factor, 2.0),
+            tries=_COARSE_TRIED, step=step,
+        )  # fmt: skip
         found = coarse.scaled(factor)
-        # the second look starts from where the first one led, and is not disturbed by a far shift
+        # the last look starts from where the first one led, and is not disturbed by a far shift
         for tries in (_FIRST_TRIED, _FINE_TRIED) if factor > 1 else (_FINE_TRIED,):
-            fine = _level(later, earlier, cells.header, found.moved, most=_FINE_MOST,
-                          tries=tries, step=step)  # fmt: skip
-            found = _after(found, fine)
+            pair = pair.seen(moved=found.moved)
+            pair = pair if tries is _FIRST_TRIED else pair.placed_anew()
+            found = _after(found, _level(pair, most=_FINE_MOST, tries=tries, step=step))
     except GeometryError as error:
         raise GeometryError(
-            f"{later.name} and {earlier.name}: {error} ({cells.metres:g} m each); check that they "
+            f"{pair.names}: {error} ({cells.metres:g} m each); check that they "
             f"show the same place, or raise --max-shift above {most:g} m"
         ) from error
     if math.hypot(*found.shift) > reach:
         raise GeometryError(
-            f"{later.name} and {earlier.name}: their shift is "
+            f"{pair.names}: their shift is "
             f"{math.hypot(*found.shift) * cells.metres:.2f} m; raise --max-shift above {most:g} m"
         )
-    return found
+    return found, pair.seen(moved=found.moved).placed_anew()
 
 
 def _after(first: Registration, second: Registration) -> Registration:
     """Both, one after the other; what is known is known from the second."""
     from dataclasses import replace
 
-    one, two = (np.vstack([np.reshape(r.moved, (2, 3)), [0, 0, 1]]) for r in (first, second))
+    one, two = (matrix_of(r.moved) for r in (first, second))
     a, b, c, d, e, f = (one @ two)[:2].ravel().tolist()
     x, y = second.middle
     shift = (a * x + b * y + c - x, d * x + e * y + f - y)
@@ -97,10 +98,8 @@ def _side(header: MapHeader) -> int:
     return min(_SIDE, max(least // _ACROSS, _LEAST_SIDE)) if least >= 2 * _LEAST_SIDE else 0
 
 
-def _level(
-    later: Path, earlier: Path, header: MapHeader, moved: Transform, *, most: float,
-    tries: tuple[int, int, int], step: Step,
-) -> Registration:  # fmt: skip
+def _level(pair: MapPair, *, most: float, tries: tuple[int, int, int], step: Step) -> Registration:
+    header = pair.header
     side = _side(header)
     while side and side < 4 * most and 4 * side <= min(header.width, header.height):
         side *= 2
@@ -108,15 +107,14 @@ def _level(
         raise GeometryError(f"{header.width} x {header.height} cells are too few for a shift")
     found: list[WindowShift] = []
     tried = 0
-    with open_pair(later, earlier, header, moved=moved) as pair:
-        for col, row in _places(header, side, tries[2]):
-            tried += 1
-            shift = _window(pair, col, row, side, most=min(most, side / 2.5))
-            if shift is not None:
-                found.append(shift)
-            step(tried / tries[0])
-            if len(found) == tries[1] or tried == tries[0]:
-                break
+    for col, row in _places(header, side, tries[2]):
+        tried += 1
+        shift = _window(pair, col, row, side, most=min(most, side / 2.5))
+        if shift is not None:
+            found.append(shift)
+        step(tried / tries[0])
+        if len(found) == tries[1] or tried == tries[0]:
+            break
     return fit_registration(found, tried=tried, most=most)
 
 
