@@ -249,6 +249,12 @@ def _finish(control: Control, path: Path, options: ControlOptions) -> Control:
         unit = HEIGHT_UNITS[options.height_unit]
     if options.height_kind in _HEIGHT_KINDS:
         kind = HeightKind(options.height_kind)
+    elif kind is HeightKind.UNKNOWN and control.crs.is_compound:
+        raise InputError(
+            f"heights of '{control.crs.sub_crs_list[-1].name}' are of no geoid that is known: "
+            'convert them, e.g. to NAVD88, or say [control] height_kind = "orthometric" and geoid',
+            source=str(path), field="crs",
+        )  # fmt: skip
     keep = options.height_kind != "none"
     points = [
         replace(

@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from georef_gis.errors import InputError
-from georef_gis.geodesy import CRS, Height, HeightKind, parse_crs
+from georef_gis import geodesy
+from georef_gis.errors import CrsError, InputError
+from georef_gis.geodesy import CRS, Height, HeightKind, parse_crs, vertical_part
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
 _UTM = re.compile(r"^WGS\s*84\s*/?\s*UTM\s*(?:zone)?\s*(\d{1,2})\s*([NS])$", re.IGNORECASE)
@@ -23,9 +24,6 @@ _UNITS = {
     "us survey foot": US_SURVEY_FOOT, "us survey feet": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT,
     "international foot": INTERNATIONAL_FOOT, "international feet": INTERNATIONAL_FOOT,
 }  # fmt: skip
-# EPSG codes of heights -> geoid by its name in `geodesy`
-_GEOIDS = {5773: "egm96", 3855: "egm2008", 5703: "geoid18", 6360: "geoid18", 8228: "geoid18",
-           6647: "cgvd2013"}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,14 +157,15 @@ def height_of(value: float | None, crs: CRS) -> Height | None:
     """Height of a table's z by its CRS: kind, geoid and unit of the vertical part."""
     if value is None:
         return None
-    vertical = (
-        next((c for c in crs.sub_crs_list if c.is_vertical), None) if crs.is_compound else None
-    )
-    if vertical is not None:
-        axis = vertical.axis_info[0].unit_conversion_factor or 1.0
-        geoid = _GEOIDS.get(vertical.to_epsg() or 0)
-        kind = HeightKind.ORTHOMETRIC if geoid else HeightKind.UNKNOWN
-        return Height(value=value * axis, kind=kind, geoid=geoid or "egm96")
+    if crs.is_compound:
+        axis = crs.sub_crs_list[-1].axis_info[0].unit_conversion_factor or 1.0
+        try:
+            part = vertical_part(crs)
+        except CrsError:
+            part = None
+        if part is None:
+            return Height(value=value * axis, kind=HeightKind.UNKNOWN)
+        return Height(value=value * axis, kind=HeightKind.ORTHOMETRIC, geoid=part.geoid)
     if len(crs.axis_info) == 3:
         axis = crs.axis_info[2].unit_conversion_factor or 1.0
         return Height(value=value * axis, kind=HeightKind.ELLIPSOIDAL)
@@ -176,15 +175,17 @@ def height_of(value: float | None, crs: CRS) -> Height | None:
 def height_unit(lines: Lines, crs: CRS) -> float:
     """Length of the unit of the heights, m, where the CRS has no vertical part.
 
-    By a header line such as `# unit: US survey foot (easting, northing, height)`; metres otherwise.
+    By a header line `# height_unit: ft`, or one such as `# unit: US survey foot (easting, northing,
+    height)`; metres otherwise.
 
     Raises
     ------
     InputError
-        If the unit is not known, or a foot of an unstated kind.
+        If the unit is not known, or one of easting and northing too and a foot of unstated kind.
     """
     value = lines.header.get("height_unit", "")
-    if not value:
+    alone = bool(value)
+    if not alone:
         value, _, columns = lines.header.get("unit", "").partition("(")
         if columns and "height" not in columns.partition(")")[0]:
             value = ""
@@ -192,10 +193,12 @@ def height_unit(lines: Lines, crs: CRS) -> float:
     name = " ".join(value.lower().replace("_", " ").split())
     if not name or has_vertical:
         return 1.0
-    if name not in _UNITS:
+    # Which foot matters to an easting, and not to a height.
+    unit = geodesy.height_unit(name) if alone else _UNITS.get(name)
+    if unit is None:
         raise InputError(
             f"'{value.strip()}' is not known; write metre, US survey foot or international foot",
             source=str(lines.path),
             field="unit",
         )
-    return _UNITS[name]
+    return unit

@@ -46,6 +46,21 @@ def test_control_csv_with_its_header(write) -> None:
     assert third.name == "P03"
 
 
+def test_heights_above_a_datum_without_a_geoid_are_taken_when_it_is_said_what_they_are(
+    write,
+) -> None:
+    path = write(CONTROL.replace("EPSG:6601", "EPSG:6601+5702"))
+    assert read_control(path).height_kind == "orthometric"
+
+
+@pytest.mark.parametrize(
+    ("name", "metres"), [("ft", 304.8), ("Feet", 304.8), ("us_survey_foot", 1200000 / 3937)]
+)
+def test_a_line_of_the_height_unit_may_name_any_foot(write, name: str, metres: float) -> None:
+    lines = [f"# height_unit: {name}\n" if "# unit" in s else s for s in CONTROL.splitlines(True)]
+    assert read_control(write("".join(lines))).points[0].height == pytest.approx(metres, abs=1e-9)
+
+
 def test_marks_csv(write) -> None:
     control = read_control(write(CONTROL))
     text = "name,photo,u,v,sigma_px\nP01,A.JPG,10.25,20.5,0.3\nP02,A.JPG,0,0,\n"
@@ -91,6 +106,13 @@ def test_a_name_with_two_places_is_told_and_off(write) -> None:
         (("orthometric", "sealevel"), r"'sealevel' is no kind of height"),
         (("US survey foot", "foot"), r"unit: 'foot' is not known"),
         (("easting,northing,height", "a,b,c"), r"line 6: column longitude, latitude is missing"),
+        (
+            (
+                "EPSG:6601\n# datum: NAD83(2011)@2010.0\n# height_kind: orthometric",
+                "EPSG:6601+5702",
+            ),
+            r"crs: heights of 'NGVD29 height \(ftUS\)' are of no geoid that is known: convert them",
+        ),
     ],
     ids=lambda v: str(v)[:30],
 )
