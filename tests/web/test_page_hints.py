@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,31 @@ def test_no_class_is_stored_that_nobody_chose(shown: tuple[Path, Served, Any], t
     tab.key("a")
     tab.click_photo(500.0, 450.0)
     waited(lambda: tab.page.input_value("#panel-measure select.kind") == "")
+
+
+def test_what_is_clicked_while_an_asset_is_stored_is_of_the_next_one(
+    shown: tuple[Path, Served, Any], tab: Tab
+) -> None:
+    stored = len(names(shown[0], "lines"))
+
+    def slow(route: Any) -> None:
+        time.sleep(1.0)
+        route.continue_()
+
+    tab.page.route("**/add_asset", slow)
+    tab.open_photo("IMG_0004")
+    tab.key("l")
+    tab.click_photo(500.0, 300.0)
+    tab.click_photo(700.0, 320.0)
+    tab.measured(vertices=2)
+    tab.page.select_option("#panel-measure select.kind", "lane_edge")
+    tab.page.keyboard.press("Control+Enter")
+    tab.key("a")
+    tab.click_photo(500.0, 350.0)
+    waited(lambda: len(names(shown[0], "lines")) == stored + 1)
+    # an area that begins with this click, of no class yet
+    tab.measured(vertices=1)
+    assert tab.page.input_value("#panel-measure select.kind") == ""
 
 
 def hint(tab: Tab) -> str:
@@ -201,6 +227,6 @@ def look_at_the_report(chrome: Any, running: Served) -> None:
     waited(lambda: "older" not in tab.page.evaluate(classes), 90.0)
     waited(lambda: not tab.page.locator("#report .hintbar").is_visible())
     frame = tab.page.frame_locator("#report iframe")
-    assert frame.get_by_text("Assets by class").first.is_visible()
+    waited(lambda: frame.get_by_text("Assets by class").first.is_visible())
     assert tab.complaints == []
     context.close()

@@ -25,6 +25,9 @@ const TOOLS = { point: "point", line: "line", polygon: "area" };
 const figure = latest("measure", "figure");
 const sightsOf = latest("measure", "sights_of");
 let before = [];
+// What is being stored. Clicks and another tool wait for it: they are of the next thing.
+let storing = Promise.resolve();
+let waiting = 0;
 
 export const point = (i) => draft.result?.points[String(i)] ?? null;
 export const refusal = (i) => draft.result?.refused[String(i)] ?? null;
@@ -69,6 +72,21 @@ export function clear() {
   before = [];
   changed();
 }
+
+/** Let what comes next wait until a promise is settled. */
+export function holdUntil(promise) {
+  storing = promise.catch(() => {});
+}
+
+/** Whether the next thing has been begun meanwhile. */
+export const isNextBegun = () => waiting > 0;
+
+const afterStoring = (action) => async (event) => {
+  waiting += 1;
+  await storing;
+  waiting -= 1;
+  action(event);
+};
 
 /** Begin with the vertices of a stored asset, to measure it anew. */
 export function edit(asset) {
@@ -202,11 +220,13 @@ async function addMapClick({ x, y }) {
   }
 }
 
-on("tool", (tool) => {
+function begin(tool) {
   const shape = SHAPES[tool];
   if (!shape || shape === draft.shape) return;
   draft.shape = shape;
   clear();
-});
-on("photo-click", (click) => state.tool in SHAPES && addClick(click));
-on("map-click", (place) => state.tool in SHAPES && addMapClick(place));
+}
+
+on("tool", afterStoring(begin));
+on("photo-click", afterStoring((click) => state.tool in SHAPES && addClick(click)));
+on("map-click", afterStoring((place) => state.tool in SHAPES && addMapClick(place)));

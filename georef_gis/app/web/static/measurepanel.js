@@ -294,7 +294,7 @@ export async function save() {
     const id = await addAsset(content, draft.vertices);
     entered[draft.shape] = { ...content, name: "", note: "" };
     drafts.clear();
-    select("asset", id);
+    if (!drafts.isNextBegun()) select("asset", id);
   });
 }
 
@@ -304,14 +304,16 @@ async function saveAnew() {
     const now = state.assets.find((asset) => asset.id === id) ?? draft.editing;
     await measureAnew(now, draft.vertices);
     drafts.clear();
-    select("asset", id);
+    if (!drafts.isNextBegun()) select("asset", id);
   });
 }
 
 async function stored(action) {
   storing = true;
+  const work = action();
+  drafts.holdUntil(work);
   try {
-    await action();
+    await work;
   } catch (error) {
     say(error.message, "error");
   } finally {
