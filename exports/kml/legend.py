@@ -84,7 +84,7 @@ def entries_of(looks: Sequence[ClassLook], signs: Sequence[tuple[str, str]]) -> 
     """
     out = [Entry(sign=_sign(kind), text=text) for kind, text in signs]
     for look in looks[:MOST_CLASSES]:
-        out.append(Entry(sign=_sign_of(look), text=look.name or "(no class)"))
+        out.append(Entry(sign=_sign_of(look), text=look.name.replace("_", " ") or "(no class)"))
     if len(looks) > MOST_CLASSES:
         out.append(Entry(sign=None, text=f"and {len(looks) - MOST_CLASSES} classes more"))
     return out

@@ -22,14 +22,22 @@ def heights_above(part: VerticalPart, frame: MapFrame, lonlat: Array, height: Ar
         deg, of the datum of the positions.
     height : shape (n,)
         Above the ellipsoid, m.
+
+    Raises
+    ------
+    CrsError
+        If the grid of the geoid is not there at the site. Beyond its rim, where only what was moved
+        by mistake can be, heights are not known.
     """
     out = np.full(len(height), np.nan)
     known = np.isfinite(height) & np.isfinite(lonlat).all(axis=1)
     if known.any():
+        geoid_undulation(frame.origin.lat, frame.origin.lon, geoid=part.geoid)
         lon, lat = np.radians(lonlat[known]).T
-        out[known] = height[known] - geoid_undulation(
-            lat, lon, geoid=part.geoid, datum=frame.gnss_datum
+        undulation = geoid_undulation(
+            lat, lon, geoid=part.geoid, datum=frame.gnss_datum, partly=True
         )
+        out[known] = height[known] - undulation
     return out
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from exports.site.schemas import ASSETS, ELLIPSES
+from exports.site.schemas import ASSETS, ELLIPSES, GeometryKind
 from exports.tables.table_export import (
     FIELDS_FILE,
     TableExporter,
@@ -22,6 +22,9 @@ from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     from typing import TextIO
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from exports.site.columns import Layer
     from exports.site.site import SiteLayers
@@ -127,8 +130,11 @@ class _Drawing:
         """Features that lie at z = 0 because their height is not known."""
         if self._options.heights == "flat":
             return []
-        low = {layer.name: int((~layer.solid).sum()) for layer in self._layers
-               if layer.measured_heights and layer.name != ELLIPSES}  # fmt: skip
+        low = {
+            layer.name: int((~_solid(layer, self._heights(layer))).sum())
+            for layer in self._layers
+            if layer.measured_heights and layer.name != ELLIPSES
+        }
         return [f"{count} features of {name} have no height and lie at z = 0"
                 for name, count in low.items() if count]  # fmt: skip
 
@@ -150,13 +156,14 @@ class _Drawing:
         return [known[text] for text in classes]
 
     def _heights(self, layer: Layer) -> Array:
+        """Heights of the vertices in the drawing's unit, NaN where they are not known."""
         import numpy as np
 
         from exports.site.map_heights import heights_above
 
         at = layer.places
         if self._options.heights == "flat" or not layer.solid.any():
-            return np.zeros(len(at.xy))
+            return np.full(len(at.xy), np.nan)
         frame = self._site.frame
         if self._options.heights == "ellipsoidal":
             z = at.height
@@ -164,7 +171,7 @@ class _Drawing:
             z = at.height_orthometric
         else:
             z = heights_above(frame.vertical, frame, at.lonlat, at.height)
-        return np.nan_to_num(z / self._unit)
+        return np.asarray(z / self._unit)
 
     def _labels(self, layer: Layer) -> list[str]:
         if not self._options.labels or layer.name not in LABELS:
@@ -176,7 +183,10 @@ class _Drawing:
         self, stream: TextIO, layer: Layer, names: Sequence[str], handles: Handles
     ) -> list[str]:
         """Write the entities of a layer; gives the handle of each feature."""
+        from exports.tables import dxf_drawing as d
+
         z, labels = self._heights(layer), self._labels(layer)
+        known = _solid(layer, z)
         found: list[str] = []
         for start, stop in layer.batches():
             parts = []
@@ -184,35 +194,16 @@ class _Drawing:
             ends = layer.places.offsets[start : stop + 1] - layer.places.offsets[start]
             for i, rows in enumerate(pairwise(ends.tolist()), start):
                 found.append(handles.take())
-                parts.append(self._entity(layer, i, names[i], (flat, solid), rows, handles))
+                texts = (flat, solid if known[i] else None)
+                if layer.geometry == "Point":
+                    parts.append(d.point(f"{handles.last:X}", names[i], solid.between(*rows)))
+                else:
+                    parts.append(_line(layer.geometry, names[i], texts, rows, handles))
                 if labels[i]:
                     at = solid.between(rows[0], rows[0] + 1)
                     parts.append(self._label(names[i], at, labels[i], handles))
             stream.write("".join(parts))
         return found
-
-    def _entity(
-        self,
-        layer: Layer,
-        i: int,
-        name: str,
-        texts: tuple[Rows, Rows],
-        rows: tuple[int, int],
-        handles: Handles,
-    ) -> str:
-        """Entity of feature i, whose handle was taken last and whose vertices are `rows`."""
-        from exports.tables import dxf_drawing as d
-
-        own, (flat, solid), (first, last) = f"{handles.last:X}", texts, rows
-        if layer.geometry == "Point":
-            return d.point(own, name, solid.between(first, last))
-        closed = layer.geometry == "Polygon"
-        last -= closed
-        if self._options.heights == "flat" or not layer.solid[i]:
-            body = flat.between(first, last)
-            return d.flat_line(own, name, body, count=last - first, closed=closed)
-        vertices = [solid.between(k, k + 1) for k in range(first, last)]
-        return d.solid_line(handles, name, vertices, closed=closed)
 
     def _label(self, name: str, at: str, text: str, handles: Handles) -> str:
         from exports.tables import dxf_drawing as d
@@ -220,13 +211,45 @@ class _Drawing:
         return d.label(handles.take(), f"{name}_text", at, text, self._text)
 
 
+def _solid(layer: Layer, z: Array) -> NDArray[np.bool_]:
+    """Which features have a height at every vertex that the drawing can have."""
+    import numpy as np
+
+    if not len(layer) or not len(z):
+        return np.zeros(len(layer), bool)
+    return np.asarray(layer.solid & np.logical_and.reduceat(np.isfinite(z), layer.places.firsts))
+
+
+def _line(
+    geometry: GeometryKind, name: str, texts: tuple[Rows, Rows | None], rows: tuple[int, int],
+    handles: Handles,
+) -> str:  # fmt: skip
+    """Line or rim of the feature whose handle was taken last; `texts` flat, and in space if known.
+
+    `rows` are its vertices.
+    """
+    from exports.tables import dxf_drawing as d
+
+    (flat, solid), (first, last) = texts, rows
+    closed = geometry == "Polygon"
+    last -= closed
+    if solid is None:
+        body = flat.between(first, last)
+        return d.flat_line(f"{handles.last:X}", name, body, count=last - first, closed=closed)
+    vertices = [solid.between(k, k + 1) for k in range(first, last)]
+    return d.solid_line(handles, name, vertices, closed=closed)
+
+
 def _vertices(layer: Layer, z: Array, start: int, stop: int) -> tuple[Rows, Rows]:
     """Groups 10, 20 and 10, 20, 30 of the vertices of some features."""
+    import numpy as np
+
     from exports.tables.coordinate_text import LENGTH_DECIMALS, rows_of
 
     rows = slice(layer.places.offsets[start], layer.places.offsets[stop])
     x, y = ((layer.places.xy[rows, axis], LENGTH_DECIMALS) for axis in (0, 1))
-    up = (z[rows], LENGTH_DECIMALS)
+    # 0 where it is not known: an entity in space has one
+    up = (np.nan_to_num(z[rows]), LENGTH_DECIMALS)
     # ends of lines are no ending that is left out: each group ends with one
     return rows_of("10\n", x, "\n20\n", y, "\n", ""), rows_of(
         "10\n", x, "\n20\n", y, "\n30\n", up, "\n", ""

@@ -52,12 +52,14 @@ def outside_findings() -> Iterator[Finding]:
 
 def _qgis() -> Iterator[Finding]:
     program = _command(QGIS, QGIS_FOLDERS.get(sys.platform, ()))
-    if program is None:
-        told = "not found on PATH; layers and styles open in any QGIS elsewhere"
-        yield Finding(subject="QGIS", state="absent", message=told)
-        return
-    state, told = _tried(program)
-    yield Finding(subject="QGIS", state=state, message=told)
+    yield _program("QGIS", program, "layers and styles open in any QGIS elsewhere")
+
+
+def _program(subject: str, found: str | None, without: str) -> Finding:
+    if found is None:
+        return Finding(subject=subject, state="absent", message=f"not found on PATH; {without}")
+    state, told = _tried(found)
+    return Finding(subject=subject, state=state, message=told)
 
 
 def _plug_in() -> Iterator[Finding]:
@@ -74,12 +76,7 @@ def _plug_in() -> Iterator[Finding]:
 
 def _browser() -> Iterator[Finding]:
     program = _command(BROWSERS, BROWSER_FOLDERS.get(sys.platform, ()))
-    if program is None:
-        told = "not found on PATH; any browser shows the page, only its tests need this one"
-        yield Finding(subject="Chromium", state="absent", message=told)
-        return
-    state, told = _tried(program)
-    yield Finding(subject="Chromium", state=state, message=told)
+    yield _program("Chromium", program, "any browser shows the page, only its tests need this one")
 
 
 def _postgis() -> Iterator[Finding]:
@@ -95,7 +92,7 @@ def _postgis() -> Iterator[Finding]:
 
 def _server(folders: Sequence[Path]) -> tuple[State, str]:
     """What is installed on this machine, by folders of extensions; not whether it runs."""
-    names = {re.sub(r"\D+", "", path.parent.name) or path.parents[1].name: path for path in folders}
+    names = {_version(path): path for path in folders}
     fine = [name for name, path in names.items() if (path / "postgis.control").is_file()]
     if fine:
         told = ", ".join(f"PostgreSQL {name}" for name in fine)
@@ -104,6 +101,12 @@ def _server(folders: Sequence[Path]) -> tuple[State, str]:
         told = ", ".join(f"PostgreSQL {name}" for name in names)
         return "absent", f"{told} without PostGIS; install that too, or use a server elsewhere"
     return "absent", "none installed here; one elsewhere will do"
+
+
+def _version(folder: Path) -> str:
+    """Version of PostgreSQL by a folder of extensions: /usr/share/postgresql/15/extension."""
+    numbers = (re.search(r"\d+(\.\d+)?", part) for part in reversed(folder.parts[:-1]))
+    return next((number[0] for number in numbers if number), folder.parent.name)
 
 
 def _command(names: Sequence[str], patterns: Sequence[str] = ()) -> str | None:

@@ -75,8 +75,9 @@ GEOIDS = {
 
 
 def geoid_undulation(
-    lat: ArrayLike, lon: ArrayLike, *, geoid: str = "egm96", datum: Datum | None = None
-) -> Array:
+    lat: ArrayLike, lon: ArrayLike, *, geoid: str = "egm96", datum: Datum | None = None,
+    partly: bool = False,
+) -> Array:  # fmt: skip
     """Height of the geoid above the ellipsoid, m, at lat, lon in rad; shapes (...).
 
     Parameters
@@ -86,11 +87,15 @@ def geoid_undulation(
     datum
         Realisation of the ellipsoidal heights it is to go with; None = that of the geoid. GEOID18
         is told above the ellipsoid of NAD83(2011), 1 to 2 m from that of ITRF2020.
+    partly
+        Give NaN where the geoid does not reach, or where its grid is not installed: for places of
+        which some may be wrong, once it was found to be there for the others.
 
     Raises
     ------
     CrsError
-        If the geoid is unknown or its grid is not installed: never a silent zero.
+        If the geoid is unknown, its grid is not installed, or it does not reach there: never a
+        silent zero.
     """
     lat, lon = np.broadcast_arrays(np.asarray(lat, float), np.asarray(lon, float))
     if geoid == "egm96":
@@ -104,7 +109,7 @@ def geoid_undulation(
         raise CrsError(
             f"'{geoid}' is not known; use one of {known}, or the file of a grid", field="geoid"
         )
-    n = _of_grids(geoid, told, np.degrees(lat), np.degrees(lon))
+    n = _of_grids(geoid, told, np.degrees(lat), np.degrees(lon), partly=partly)
     return n if datum is None else n - _rise(lat, lon, datum, told.datum)
 
 
@@ -129,7 +134,7 @@ def needed_grids(geoid: str, place: tuple[float, float] | None) -> tuple[str, ..
     return tuple(grid.name for grid in told.grids if grid.holds(at[0], at[1]))[:1]
 
 
-def _of_grids(geoid: str, told: Geoid, lat: Array, lon: Array) -> Array:
+def _of_grids(geoid: str, told: Geoid, lat: Array, lon: Array, *, partly: bool) -> Array:
     """Undulation at places (deg) from the grids that hold there, m."""
     out = np.full(lat.shape, np.nan)
     missing = None
@@ -142,7 +147,7 @@ def _of_grids(geoid: str, told: Geoid, lat: Array, lon: Array) -> Array:
         else:
             out[here] = _shifted(grid.name, lat[here], lon[here])
     lost = np.isnan(out)
-    if not lost.any():
+    if partly or not lost.any():
         return out
     if missing is not None:
         raise CrsError(

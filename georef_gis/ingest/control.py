@@ -25,6 +25,7 @@ from georef_gis.ingest.tables import (
     read_lines,
 )
 from georef_gis.model.control import Control, ControlPoint, Mark
+from georef_gis.model.table_header import stated_height
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
 ControlFormat = Literal["auto", "georef", "odm", "pix4d", "metashape", "dronedeploy"]
@@ -224,15 +225,14 @@ def _crs(text: str, options: ControlOptions, source: str) -> CRS:
 
 def _stated_kind(lines: Lines) -> tuple[HeightKind, str]:
     """Kind of the heights and their geoid ('' = not stated) by the header."""
-    words = lines.header.get("height", lines.header.get("height_kind", "unknown")).lower().split()
-    if words[0] not in _HEIGHT_KINDS:
+    kind, geoid = stated_height(dict(lines.header))
+    if kind not in _HEIGHT_KINDS:
         raise InputError(
-            f"'{words[0]}' is no kind of height; use one of {', '.join(_HEIGHT_KINDS)}",
+            f"'{kind}' is no kind of height; use one of {', '.join(_HEIGHT_KINDS)}",
             source=str(lines.path),
             field="height",
         )
-    geoid = words[1] if len(words) > 1 else lines.header.get("geoid", "").lower()
-    return HeightKind(words[0]), geoid
+    return HeightKind(kind), geoid
 
 
 def _finish(control: Control, path: Path, options: ControlOptions) -> Control:
@@ -249,13 +249,15 @@ def _finish(control: Control, path: Path, options: ControlOptions) -> Control:
         unit = HEIGHT_UNITS[options.height_unit]
     if options.height_kind in _HEIGHT_KINDS:
         kind = HeightKind(options.height_kind)
-    elif kind is HeightKind.UNKNOWN and control.crs.is_compound:
+    keep = options.height_kind != "none"
+    unknown = kind is HeightKind.UNKNOWN and control.crs.is_compound
+    if unknown and keep and any(point.height is not None for point in points):
         raise InputError(
             f"heights of '{control.crs.sub_crs_list[-1].name}' are of no geoid that is known: "
-            'convert them, e.g. to NAVD88, or say [control] height_kind = "orthometric" and geoid',
+            'convert them, e.g. to NAVD88, say [control] height_kind = "orthometric" and geoid, '
+            'or leave them out by height_kind = "none"',
             source=str(path), field="crs",
         )  # fmt: skip
-    keep = options.height_kind != "none"
     points = [
         replace(
             point,

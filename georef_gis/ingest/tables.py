@@ -12,10 +12,10 @@ from pathlib import Path
 from georef_gis import geodesy
 from georef_gis.errors import CrsError, InputError
 from georef_gis.geodesy import CRS, Height, HeightKind, parse_crs, vertical_part
+from georef_gis.model.table_header import header_values
 from georef_gis.units import INTERNATIONAL_FOOT, US_SURVEY_FOOT
 
 _UTM = re.compile(r"^WGS\s*84\s*/?\s*UTM\s*(?:zone)?\s*(\d{1,2})\s*([NS])$", re.IGNORECASE)
-_HEADER_VALUE = re.compile(r"^#\s*([A-Za-z_ ]+?)\s*[:=]\s*(\S.*)$")
 # bytes; more is not a table of photos or points
 _LARGEST = 200_000_000
 # m by the name of the unit; a plain "foot" could be either
@@ -119,9 +119,7 @@ def read_lines(path: Path) -> Lines:
     lines = tuple((n, line.strip()) for n, line in enumerate(text.splitlines(), 1) if line.strip())
     if not lines:
         raise InputError("is empty", source=str(path))
-    found = (_HEADER_VALUE.match(line) for _, line in lines)
-    header = {m.group(1).strip().lower().replace(" ", "_"): m.group(2).strip() for m in found if m}
-    return Lines(path=path, lines=lines, header=header)
+    return Lines(path=path, lines=lines, header=header_values(line for _, line in lines))
 
 
 def separator_of(line: str) -> str:

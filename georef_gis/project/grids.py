@@ -25,6 +25,7 @@ from georef_gis.geodesy.grid_files import (
 )
 from georef_gis.geodesy.grids_folder import find_grid, grids_folder, grids_kept, how_to_get
 from georef_gis.geodesy.reference_systems import Site, lacking_grids, realisation_of
+from georef_gis.model.table_header import header_values, stated_height
 from georef_gis.project.project import DATABASE_FILE, Project
 
 __all__ = [
@@ -133,9 +134,9 @@ def _control(project: Project) -> dict[str, str]:
     with suppress(OSError, UnicodeDecodeError):
         if given.file is not None:
             with project.path(given.file).open(encoding="utf-8-sig") as stream:
-                head = takewhile(lambda line: line.startswith("#"), stream)
-                pairs = (line.lstrip("# ").partition(":") for line in head)
-                found |= {key.strip().lower(): value.strip() for key, _, value in pairs}
+                told = header_values(takewhile(lambda line: line.startswith("#"), stream))
+                geoid = stated_height(told)[1]
+                found |= told | ({"geoid": geoid} if geoid else {})
     return found if given.datum == _AUTO else found | {"datum": given.datum}
 
 

@@ -1,7 +1,7 @@
 """What the libraries below say of their data, for `georef doctor`.
 
-A finding is (subject, fine, message). Everything is imported here and guarded: an installation
-that is broken is what the doctor is asked about.
+A finding is (subject, fine, message); fine is None of what is not there and need not be. Everything
+is imported here and guarded: an installation that is broken is what the doctor is asked about.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from georef_gis.errors import InputError
 
-Finding = tuple[str, bool, str]
+Finding = tuple[str, bool | None, str]
 
 
 def raster_findings() -> Sequence[Finding]:
@@ -54,13 +54,15 @@ def _grids(folder: Path) -> Sequence[Finding]:
             names.append(grids.examine_grid(path, whole=False).name)
         except InputError as error:
             bad.append(("grid", False, str(error)))
-    told = f"{len(names)} in {grids.grids_folder()}" + (f": {', '.join(names)}" if names else "")
+    where = grids.grids_folder()
+    here = ("grids", True, f"{len(names)} in {where}: {', '.join(names)}")
+    none = ("grids", None, f"none in {where}; EGM96 is built in, `georef grids` tells of others")
     lacking = [
         ("grid lacking", False, f"{need.name} ({need.reason}); {grids.how_to_get(need.name)}")
         for need in needs
         if not need.is_there
     ]
-    return [("grids", True, told), *bad, *lacking]
+    return [here if names else none, *bad, *lacking]
 
 
 def _hook(module: str) -> Sequence[Finding]:

@@ -36,7 +36,8 @@ class OrientDirect(Algorithm[p.Parameters]):
     needs, gives = ("photos",), ("poses",)
     in_run = True
     uses_settings = ("gnss", "attitude", "ground", "mount")
-    version = "2"
+    # units of DEMs
+    version = "3"
 
     def inputs(self, context: Context, parameters: p.Parameters) -> Sequence[Path]:
         """The DEM."""

@@ -31,6 +31,8 @@ class Footprints(Algorithm[p.Parameters]):
     needs, wants, gives = ("poses",), ("adjusted",), ("footprints",)
     first_answer = True
     in_run = True
+    # holes
+    version = "2"
     uses_quick = True
     uses_settings = ("ground",)
 

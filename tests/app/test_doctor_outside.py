@@ -139,3 +139,16 @@ def test_a_driver_that_is_not_there_is_told_with_its_cure(
 ) -> None:
     monkeypatch.setattr(doctor_outside, "DRIVER", "no-such-driver")
     assert "georef-gis[postgis]" in findings()["PostGIS driver"]
+
+
+@pytest.mark.parametrize(
+    ("folder", "version"),
+    [
+        ("/usr/share/postgresql/15/extension", "15"),
+        ("/usr/share/postgresql/9.6/extension", "9.6"),
+        ("/usr/pgsql-15/share/extension", "15"),
+        ("/opt/homebrew/share/postgresql@14/extension", "14"),
+    ],
+)
+def test_the_version_of_a_server_is_read_from_its_folder(folder: str, version: str) -> None:
+    assert doctor_outside._version(Path(folder)) == version

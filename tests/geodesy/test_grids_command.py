@@ -57,6 +57,14 @@ def test_the_grids_that_a_project_needs_are_told_with_what_for(grids: Path, site
     ]
 
 
+@pytest.mark.parametrize("head", ["# crs = EPSG:6549+6360\n", "# height: orthometric geoid18\n"])
+def test_what_the_head_of_a_control_file_says_is_needed(grids: Path, site: Path, head: str) -> None:
+    (site / "project.toml").write_text('[project]\ncrs = "EPSG:6549"\n[control]\nfile = "c.csv"\n')
+    (site / "c.csv").write_text(f"{head}name,easting,northing,height\n")
+    _, text, _ = georef("list", "--project", site)
+    assert any(GEOID18 in line and "LACKING" in line for line in text.splitlines())
+
+
 def test_datums_that_a_grid_parts_are_needs_too(grids: Path, site: Path) -> None:
     text = (site / "project.toml").read_text().replace("6549+6360", "3728")  # NSRS2007
     (site / "project.toml").write_text(text)

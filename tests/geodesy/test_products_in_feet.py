@@ -15,6 +15,7 @@ from grid_cases import plane, write_tiff
 from exports.site.site import SiteLayers
 from exports.site.values import SiteControl
 from exports.tables.dxf import Dxf, DxfOptions
+from georef_gis.errors import CrsError
 from georef_gis.geodesy import CRS, Datum, MapFrame, Origin, map_crs, vertical_part
 from georef_gis.measure.surface.field import GroundField
 from georef_gis.measure.surface.raster import HeightReference, surface_profile, surface_tiles
@@ -197,6 +198,29 @@ def test_assets_have_the_heights_that_the_projects_crs_promises(
     z = float(lines[lines.index("30", lines.index("POINT")) + 1])
     assert z * drawn == pytest.approx(wanted, abs=1e-3)
     assert report.height_kind == f"orthometric ({frame.vertical.name}, geoid geoid18)"
+
+
+def test_a_stray_asset_beyond_the_geoid_has_no_such_height_and_stops_nothing(
+    grids: Path, tmp_path: Path
+) -> None:
+    write_tiff(grids / GEOID18)
+    frame = MapFrame(ORIGIN, map_crs("EPSG:6549+6360"))
+    moved = cones(frame)
+    # ft east: on the way to Africa, where someone's mouse left it
+    moved.xy[1] += [3e7, 0.0]
+    moved.height[1] = LEVEL
+    site = SiteLayers(
+        name="site", frame=frame, photos=(), footprints=(), cameras=(), assets=(moved,)
+    )
+    layer = site.layer("asset_points")
+    assert [value is None for value in layer.columns["height_map"].tolist()] == [False, True]
+    report = Dxf().write_layers(site, [layer], tmp_path / "site.dxf", DxfOptions(labels=False))
+    assert "1 features of asset_points have no height and lie at z = 0" in report.warnings
+    (grids / GEOID18).unlink()
+    with pytest.raises(CrsError, match=GEOID18):
+        SiteLayers(
+            name="site", frame=frame, photos=(), footprints=(), cameras=(), assets=(moved,)
+        ).layer("asset_points")
 
 
 def test_assets_of_a_map_without_heights_have_none_of_the_map() -> None:

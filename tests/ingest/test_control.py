@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from georef_gis.errors import InputError
-from georef_gis.ingest.control import read_control, read_marks
+from georef_gis.ingest.control import ControlOptions, read_control, read_marks
 
 CONTROL = """# crs: EPSG:6601
 # datum: NAD83(2011)@2010.0
@@ -51,6 +51,15 @@ def test_heights_above_a_datum_without_a_geoid_are_taken_when_it_is_said_what_th
 ) -> None:
     path = write(CONTROL.replace("EPSG:6601", "EPSG:6601+5702"))
     assert read_control(path).height_kind == "orthometric"
+
+
+def test_points_whose_heights_are_left_out_need_no_geoid(write) -> None:
+    lines = CONTROL.replace("EPSG:6601", "EPSG:6601+5702").splitlines(True)
+    text = "".join(lines[:1] + lines[5:])
+    without = read_control(write(text), ControlOptions(height_kind="none"))
+    assert [point.height for point in without.points] == [None, None, None]
+    flat = write("# crs: EPSG:6601+5702\nname,easting,northing\nP1,2000000,700000\n", "flat.csv")
+    assert read_control(flat).points[0].height is None
 
 
 @pytest.mark.parametrize(
