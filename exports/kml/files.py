@@ -16,8 +16,8 @@ from georef_gis.errors import ExportError
 _DATE = (1980, 1, 1, 0, 0, 0)
 # zlib's effort; more takes twice as long and saves a tenth of the bytes
 EFFORT = 1
-# Of a ZIP whose readers need not know ZIP64
-MOST_FILES, MOST_BYTES = 65_534, 2**32 - 2**24
+# Of a ZIP without marks of ZIP64, which Python's library sets from 2 GB on, not from 4
+MOST_FILES, MOST_BYTES = 65_534, 2**31 - 2**24
 # bytes that ZIP adds per member, without its name
 _OVERHEAD = 98
 
@@ -62,10 +62,9 @@ class Spool:
             self._stream.truncate()
             del self._members[count:]
 
-    @property
-    def old_readers(self) -> bool:
-        """Whether readers of ZIP that know no ZIP64 can read a KMZ of these files."""
-        return len(self._members) < MOST_FILES and self.size < MOST_BYTES
+    def __len__(self) -> int:
+        """Number of files."""
+        return len(self._members)
 
     def files(self) -> Iterator[tuple[str, bytes]]:
         """Paths and contents, in order."""
@@ -95,10 +94,15 @@ class Counter:
         return self._bytes
 
 
-def write_zip(target: Path, write_document: Callable[[BinaryIO], None], spool: Spool) -> None:
+def write_zip(target: Path, write_document: Callable[[BinaryIO], None], spool: Spool) -> bool:
     """KMZ of a document and its files. Pictures are stored: they are packed already.
 
     Without the marks of ZIP64, as long as it can: Google's own library of KML reads no such file.
+
+    Returns
+    -------
+    bool
+        Whether it is surely without.
 
     Raises
     ------
@@ -118,6 +122,7 @@ def write_zip(target: Path, write_document: Callable[[BinaryIO], None], spool: S
             ) from error
         for path, data in spool.files():
             archive.writestr(_member(path), data, compresslevel=EFFORT)
+    return len(spool) < MOST_FILES and target.stat().st_size < MOST_BYTES
 
 
 def _member(path: str) -> zipfile.ZipInfo:

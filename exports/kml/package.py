@@ -172,10 +172,9 @@ def write_package(
         overlay = _overlay(package, rest, options)
         check_cancelled(feedback)
         whole = partial(write_document, site=site, shown=replace(shown, overlay=overlay))
-        write_zip(target, whole, spool)
-        if not spool.old_readers:
+        if not write_zip(target, whole, spool):
             package.warnings.append(
-                "more than 65534 files or 4 GB: viewers that know no ZIP64 do not open such a KMZ, "
+                "more than 65534 files or 2 GB: viewers that know no ZIP64 do not open such a KMZ, "
                 "and Google Earth may be one; set max_mb or max_zoom"
             )
         feedback.progress(1.0, "zipped")

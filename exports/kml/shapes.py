@@ -79,7 +79,12 @@ def _cut(geometry: str, lonlat: Array, heights: Array | None) -> k.Element:
     known = heights is not None and bool(np.isfinite(heights).all())
     if heights is not None and known:
         points = np.column_stack([points, heights])
-    whole = shapely.Polygon(points) if geometry == "Polygon" else shapely.LineString(points)
+    whole = shapely.LineString(points)
+    if geometry == "Polygon":
+        # sides that cross each other can be drawn, but not be cut
+        whole = shapely.make_valid(shapely.Polygon(points), method="structure")
+        # an area without any ground is a line
+        geometry = geometry if whole.area else "LineString"
     parts: list[k.Element] = []
     for west in (0.0, _HALF):
         side = shapely.intersection(whole, shapely.box(west, -90.0, west + _HALF, 90.0))

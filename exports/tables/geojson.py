@@ -38,6 +38,7 @@ class GeoJson(Exporter[GeoJsonOptions]):
     id = "geojson"
     name = "GeoJSON"
     suffix = ".geojson"
+    further_suffixes = (".json",)
     accepts = ("vector", "site")
     needs = ("photos", "poses", "footprints")
 

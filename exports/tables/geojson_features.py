@@ -134,7 +134,12 @@ def _cut(part: list[list[float]], kind: str) -> str:
     import shapely
 
     east = [[lon % 360.0, *rest] for lon, *rest in part]
-    whole = shapely.Polygon(east) if kind == "Polygon" else shapely.LineString(east)
+    whole = shapely.LineString(east)
+    if kind == "Polygon":
+        # sides that cross each other can be drawn, but not be cut
+        whole = shapely.make_valid(shapely.Polygon(east), method="structure")
+        # an area without any ground is a line
+        kind = kind if whole.area else "LineString"
     pieces: list[Any] = []
     for west, shift in ((0.0, 0.0), (180.0, 360.0)):
         side = whole.intersection(shapely.box(west, -90.0, west + 180.0, 90.0))

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pydantic import field_validator
 
-from exports.tables.table_export import SpatialOptions, chosen_layers, report_of
+from exports.tables.table_export import SpatialOptions, asked_layers, chosen_layers, report_of
 from georef_gis.errors import ExportError, InputError
 from georef_gis.toolbox import ExportReport, Feedback, LayerSource, Sender
 from georef_gis.toolbox import parameters as p
 
 if TYPE_CHECKING:
     import psycopg
-
-    from exports.site.columns import Layer
 
 # s; a server that does not answer, a table that another program keeps locked
 CONNECT_S, LOCK_S = 10, 30
@@ -38,8 +36,9 @@ class PostGisOptions(SpatialOptions):
         "georef", title="Schema", help="Made if it is not there; a schema for each project."
     )
     overwrite: p.Flag = p.flag(
-        False, title="Overwrite", help="Replace tables that an earlier export of this project made."
-    )
+        False, title="Overwrite", help="Replace tables that an earlier export of this project "
+        "made, and remove those of them whose layer is asked for and has no features now."
+    )  # fmt: skip
 
     @field_validator("connection")
     @classmethod
@@ -70,7 +69,8 @@ class PostGis(Sender[PostGisOptions]):
 
     A schema for each project, a table for each layer with a spatial index, comments that say what
     its columns mean, and a table `about`. Tables that are not of an earlier export of this project
-    are never replaced. Needs psycopg: `pip install georef-gis[postgis]`.
+    are never replaced, and those of layers that are not asked for stay. Needs psycopg:
+    `pip install georef-gis[postgis]`.
     """
 
     id = "postgis"
@@ -89,32 +89,27 @@ class PostGis(Sender[PostGisOptions]):
         from exports.tables.postgis_tables import write_tables
 
         site, layers = chosen_layers(source, options)
+        written = {layer.name for layer in layers}
+        gone = tuple(name for name in asked_layers(source, options) if name not in written)
         with _connected(options.connection) as connection:
             place = _place(connection, options.database_schema)
-            write_tables(
-                connection, site, layers, gone=_gone(source, layers),
-                schema=options.database_schema,
+            removed = write_tables(
+                connection, site, layers, gone=gone, schema=options.database_schema,
                 heights=options.heights, overwrite=options.overwrite, feedback=feedback,
             )  # fmt: skip
-        report = report_of(site, layers, options.heights, flat_warnings(layers, options.heights))
+        told = [
+            f"table {options.database_schema}.{name} of an earlier export was removed: its layer "
+            "has no features now"
+            for name in removed
+        ]
+        told += flat_warnings(layers, options.heights)
+        report = report_of(site, layers, options.heights, told)
         for warning in report.warnings:
             feedback.warn(warning)
         return ExportReport(
             crs=report.crs, height_kind=report.height_kind, features=report.features,
             warnings=report.warnings, place=place,
         )  # fmt: skip
-
-
-def _gone(source: LayerSource, written: Sequence[Layer]) -> tuple[str, ...]:
-    """Layers asked for that have no features now, though an earlier export may have written them.
-
-    Of the site also those that its options leave out: they would be of another state of it.
-    """
-    from exports.site.site import LAYERS, SiteLayers
-
-    asked = LAYERS if source.kind == "site" else SiteLayers.names_of(source.layer)
-    names = {layer.name for layer in written}
-    return tuple(name for name in asked if name not in names)
 
 
 def _need_psycopg() -> None:

@@ -43,13 +43,18 @@ def write_tables(
     heights: Heights,
     overwrite: bool,
     feedback: Feedback,
-) -> None:
+) -> tuple[str, ...]:
     """Write layers to tables of a schema; the caller ends the transaction.
 
     Parameters
     ----------
     gone
         Names of layers without features now: their tables of an earlier export are removed.
+
+    Returns
+    -------
+    tuple of str
+        Those of `gone` that had such a table.
 
     Raises
     ------
@@ -65,12 +70,13 @@ def write_tables(
         feedback.progress(number / len(layers), layer.name)
         _clear(connection, schema, layer.name, mark, overwrite=overwrite)
         _write_layer(connection, layer, (schema, home, srid), heights, mark, feedback)
-    for name in gone:
-        if _is_ours(connection, schema, name, mark):
-            _clear(connection, schema, name, mark, overwrite=overwrite)
+    removed = tuple(name for name in gone if _is_ours(connection, schema, name, mark))
+    for name in removed:
+        _clear(connection, schema, name, mark, overwrite=overwrite)
     # what an earlier export of this project says of itself may always be replaced
     _clear(connection, schema, ABOUT, mark, overwrite=True)
     _write_about(connection, schema, site.metadata(), mark)
+    return removed
 
 
 # -- what is there -----------------------------------------------------------------------------

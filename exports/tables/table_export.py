@@ -78,6 +78,15 @@ class TableExporter(Exporter[O]):
         """Write layers, none of which is empty."""
 
 
+def asked_layers(source: LayerSource, options: TableOptions) -> tuple[str, ...]:
+    """Names of the layers that are asked for, with features or without."""
+    from exports.site.site import LAYERS, SiteLayers
+
+    if source.kind != "site":
+        return SiteLayers.names_of(source.layer)
+    return LAYERS if options.tie_points else tuple(x for x in LAYERS if x != "tie_points")
+
+
 def chosen_layers(source: LayerSource, options: TableOptions) -> tuple[SiteLayers, list[Layer]]:
     """What is to be written; empty layers are left out.
 
@@ -86,12 +95,9 @@ def chosen_layers(source: LayerSource, options: TableOptions) -> tuple[SiteLayer
     ExportError
         If all are empty.
     """
-    from exports.site.site import LAYERS, SiteLayers
+    from exports.site.site import SiteLayers
 
-    site = SiteLayers.from_project(source.project)
-    names = LAYERS if source.kind == "site" else site.names_of(source.layer)
-    if source.kind == "site" and not options.tie_points:
-        names = tuple(name for name in names if name != "tie_points")
+    site, names = SiteLayers.from_project(source.project), asked_layers(source, options)
     layers = [layer for layer in map(site.layer, names) if len(layer)]
     if not layers:
         raise ExportError(site.why_empty(names))

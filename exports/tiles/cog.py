@@ -39,6 +39,7 @@ class Cog(Exporter[CogOptions]):
     id = "cog"
     name = "COG (GeoTIFF)"
     suffix = ".tif"
+    further_suffixes = (".tiff",)
     accepts = ("raster",)
     target = "mosaic_cog.tif"
     needs = ("mosaic",)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from georef_gis.project.geometry import from_blob, to_blob
@@ -16,6 +18,8 @@ APPLICATION_ID = 0x47504B47
 USER_VERSION = 10300
 # Numbers for CRSs that EPSG does not know
 FIRST_OWN_SRS = 300_000
+# What SQLite adds to the name of a database
+_JOURNALS = ("-wal", "-shm", "-journal")
 
 CONTENTS = """
 CREATE TABLE gpkg_spatial_ref_sys (
@@ -57,19 +61,37 @@ REQUIRED_SRS = (
 )
 
 
-def forget_journals(path: Path) -> None:
-    """Remove the journals beside a database that is about to be replaced.
+@contextmanager
+def journals_aside(path: Path) -> Iterator[None]:
+    """Keep the journals of a database from the file that takes its place within the block.
 
     SQLite knows them by their names alone: what a GIS that has the old file open, or was killed,
-    left in them would be played into the new one.
+    left in them would be played into the new one. If the block fails, the old file has them again,
+    for they may hold what it lacks.
 
     Raises
     ------
     OSError
-        If one cannot be removed, as on Windows while another program has it open.
+        If one cannot be moved, as on Windows while another program has it open.
     """
-    for ending in ("-wal", "-shm", "-journal"):
-        path.with_name(f"{path.name}{ending}").unlink(missing_ok=True)
+    aside: dict[Path, Path] = {}
+    try:
+        for ending in _JOURNALS:
+            journal = path.with_name(f"{path.name}{ending}")
+            with suppress(FileNotFoundError):
+                other = path.with_name(f".{journal.name}.{os.getpid()}.aside")
+                os.replace(journal, other)
+                aside[journal] = other
+        yield
+    except BaseException:
+        for journal, other in aside.items():
+            with suppress(OSError):
+                os.replace(other, journal)
+        raise
+    for other in aside.values():
+        # the new file is in its place: what is left has a name that SQLite does not know
+        with suppress(OSError):
+            other.unlink()
 
 
 def table_names(connection: sqlite3.Connection) -> set[str]:

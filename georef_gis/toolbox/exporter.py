@@ -5,7 +5,9 @@ from __future__ import annotations
 import glob
 import inspect
 import os
+import time
 from abc import ABC, abstractmethod
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args, get_origin
@@ -13,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar, get_args, get
 from pydantic import create_model
 
 from georef_gis.errors import ExportError, InputError
-from georef_gis.project.geopackage import forget_journals
+from georef_gis.project.geopackage import journals_aside
 from georef_gis.toolbox import parameters as p
 from georef_gis.toolbox.algorithm import Algorithm, Output, Result
 from georef_gis.toolbox.context import Context, Feedback
@@ -37,6 +39,8 @@ LAYER_KINDS: dict[str, str] = {
     "orthos": "raster",
 }
 RASTER_SUFFIXES = (".tif", ".tiff", ".vrt")
+# s; no export takes that long
+_ABANDONED = 86_400.0
 # Files that SQLite writes
 _DATABASES = (".gpkg", ".mbtiles")
 VECTOR_SUFFIXES = (".gpkg", ".geojson", ".fgb", ".shp")
@@ -104,7 +108,9 @@ class Exporter(ABC, Generic[O]):
     Attributes
     ----------
     suffix
-        Of the target, with the dot.
+        Of the target, with the dot; "" = any name, mostly of a folder.
+    further_suffixes
+        Other names of the same format, such as ``.tiff``, in small letters.
     accepts
         Kinds of layers: ``vector``, ``raster``, ``site``. The first layer of the first kind is
         the default of the tool.
@@ -117,6 +123,7 @@ class Exporter(ABC, Generic[O]):
     id: ClassVar[str]
     name: ClassVar[str]
     suffix: ClassVar[str]
+    further_suffixes: ClassVar[tuple[str, ...]] = ()
     accepts: ClassVar[tuple[str, ...]]
     Options: ClassVar[type[p.Parameters]] = p.Parameters
     target: ClassVar[str] = ""
@@ -251,12 +258,14 @@ def _write_safely(
     options: p.Parameters,
     feedback: Feedback,
 ) -> ExportReport:
-    part = target.with_name(f".{target.stem}.part{target.suffix}")
+    # Two projects may write one place at once.
+    part = target.with_name(f".{target.stem}.{os.getpid()}.part{target.suffix}")
     try:
-        if target.is_dir() and target.suffix != exporter.suffix:
+        if target.is_dir() and target.suffix.lower() not in _suffixes(exporter):
             raise ExportError(f"{target}: is a folder; give the name of a {exporter.suffix} in it")
         check_folder(target, exporter.id)
         target.parent.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(target)
         remove(part)
         report = exporter.write(source, part, options, feedback)
         if part.is_dir():
@@ -264,9 +273,9 @@ def _write_safely(
         elif target.is_dir():
             raise ExportError(f"{target}: is a folder; give the name of a file in it")
         else:
-            if target.suffix in _DATABASES:
-                forget_journals(target)
-            os.replace(part, target)
+            is_database = target.suffix.lower() in _DATABASES
+            with journals_aside(target) if is_database else nullcontext():
+                os.replace(part, target)
     except OSError as error:
         reason = error.strerror or str(error)
         raise ExportError(
@@ -278,6 +287,19 @@ def _write_safely(
         for left in target.parent.glob(pattern) if target.parent.is_dir() else ():
             remove(left)
     return report
+
+
+def _suffixes(exporter: Exporter[Any] | type[Exporter[Any]]) -> tuple[str, ...]:
+    """All that the target may have, that of the default first."""
+    return (exporter.suffix, *exporter.further_suffixes)
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove what exports to a place left that were killed long ago."""
+    for left in target.parent.glob(f".{glob.escape(target.stem)}.*.part*"):
+        with suppress(FileNotFoundError):
+            if time.time() - left.stat().st_mtime > _ABANDONED:
+                remove(left)
 
 
 def _named(given: Path | str) -> Path:
@@ -314,7 +336,7 @@ def tool_of(exporter: type[Exporter[Any]]) -> type[Algorithm[Any]]:
     if not sends:
         shared["target"] = (
             p.File | None,
-            p.file(None, title="File to write", writes=True, suffixes=(exporter.suffix,)),
+            p.file(None, title="File to write", writes=True, suffixes=_suffixes(exporter)),
         )
     model = create_model(f"Export{exporter.__name__}", __base__=exporter.Options, **shared)
     return type(

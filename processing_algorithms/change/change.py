@@ -11,6 +11,7 @@ from georef_gis.toolbox import parameters as p
 if TYPE_CHECKING:
     from georef_gis.measure.change.detect import Change, Comparison
     from georef_gis.project import Project
+    from processing_algorithms.change.photos import SitePhotos
     from processing_algorithms.change.sides import Side
 
 # cells are so many times as long as the coarser of the two ground sample distances
@@ -94,7 +95,7 @@ class ChangeTool(Algorithm[ChangeParameters]):
             check_cancelled(feedback)
             feedback.progress(_STEPS[what][0] + part * _STEPS[what][1], what)
 
-        photos = (later.photos(), earlier.photos()) if parameters.photos else (None, None)
+        photos, notes = _photos(later, earlier, cells.header.crs_wkt, asked=parameters.photos)
         most = parameters.max_shift
         project.prepare()
         with gdal_cache(_CACHE), open_pair(
@@ -108,7 +109,7 @@ class ChangeTool(Algorithm[ChangeParameters]):
         outputs = write_all(
             target, found, kept, (earlier.date, later.date), geojson=parameters.geojson
         )
-        doubts = [*doubts_of(found, kept, earlier, later), *photo_doubts(found, photos)]
+        doubts = [*doubts_of(found, kept, earlier, later), *notes, *photo_doubts(found, photos)]
         for line in doubts:
             feedback.warn(line)
         summary: dict[str, Any] = {
@@ -150,6 +151,16 @@ def _sides(project: Project, parameters: ChangeParameters) -> tuple[Side, Side]:
     if earlier.raster.resolve() == later.raster.resolve():
         raise InputError("is compared with itself; name the other date", source=str(later.raster))
     return earlier, later
+
+
+def _photos(
+    later: Side, earlier: Side, crs_wkt: str, *, asked: bool
+) -> tuple[tuple[SitePhotos | None, SitePhotos | None], list[str]]:
+    """Photos of both dates, and what a user has to know of them, a line each."""
+    if not asked:
+        return (None, None), []
+    found = [side.photos(name, crs_wkt) for name, side in (("later", later), ("earlier", earlier))]
+    return (found[0][0], found[1][0]), [doubt for _, doubt in found if doubt]
 
 
 def _kept(found: Comparison, parameters: ChangeParameters) -> list[Change]:

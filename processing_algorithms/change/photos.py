@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from georef_gis.errors import InputError
 from georef_gis.measure.change.evidence import Look
+from processing_algorithms.change.map_way import Way, way_between
 
 if TYPE_CHECKING:
     from georef_gis.frames import Array
@@ -48,17 +49,32 @@ class SitePhotos:
         self.lost: dict[str, str] = {}
 
     @classmethod
-    def of(cls, project: Project) -> SitePhotos | None:
-        """Photos of a project; None if they have no poses."""
+    def of(cls, project: Project) -> SitePhotos:
+        """Photos of a project.
+
+        Raises
+        ------
+        InputError
+            If they have no poses, or their ground cannot be read.
+        """
         from processing_algorithms.site import load_site
 
         if not (project.folder / "georef.gpkg").is_file():
-            return None
-        try:
-            with project.reader() as reader:
-                return cls(load_site(reader))
-        except InputError:
-            return None
+            raise InputError(
+                "has no photos yet; run `georef run` there", source=str(project.folder)
+            )
+        with project.reader() as reader:
+            return cls(load_site(reader))
+
+    def meet(self, crs_wkt: str) -> str:
+        """Find the way from a map to the photos' own; a doubt where datums are taken as one.
+
+        Raises
+        ------
+        CrsError
+            If there is none.
+        """
+        return self._way(crs_wkt)[1]
 
     def looks(self, header: MapHeader, window: Window, moved: Transform) -> Iterator[Look]:
         """A window as the photos see it that do so most from above."""
@@ -72,10 +88,11 @@ class SitePhotos:
 
         step = _STEP if window[2] * window[3] <= _LARGE else _STEP_LARGE
         p_enu = self._ground(header, _nodes(window, step), moved)
-        if not np.isfinite(p_enu).all():
+        apart = np.linalg.norm(np.diff(p_enu, axis=1), axis=-1)
+        apart = apart[np.isfinite(apart)]
+        if not len(apart):
             return
-        middle = p_enu[p_enu.shape[0] // 2, p_enu.shape[1] // 2]
-        cell = float(np.linalg.norm(p_enu[1, 1] - p_enu[1, 2])) / step
+        middle, cell = _middle(p_enu), float(np.median(apart)) / step
         for photo in self._near(middle, p_enu):
             reduce = reduction_for(_SLACK * cell, _gsd(photo, middle))
             try:
@@ -86,6 +103,8 @@ class SitePhotos:
             with one_thread_each():
                 uv = upsample(photo.project(p_enu), step, (window[3], window[2]))
                 valid = inside_image(uv, photo.camera.width, photo.camera.height)
+                if not valid.any():
+                    continue
                 yield Look(samples=sample(image, uv, reduce=reduce), valid=valid)
 
     def _near(self, middle: Array, p_enu: Array) -> Iterator[OrientedPhoto]:
@@ -115,19 +134,12 @@ class SitePhotos:
             axis=-1,
         )
         frame = self._site.frame
-        xy = self._to_own_map(header.crs_wkt)(xy)
+        xy = self._way(header.crs_wkt)[0](xy)
         height = self._site.terrain.height_on_map(frame, xy)
         return frame.enu_from_map(np.concatenate([xy, height[..., None]], axis=-1))
 
-    def _to_own_map(self, crs_wkt: str) -> Callable[[Array], Array]:
-        from georef_gis.geodesy import CRS
-        from georef_gis.geodesy.reference_systems import horizontal_crs, transformer_between
-
-        own, theirs = self._site.frame.horizontal, horizontal_crs(CRS.from_wkt(crs_wkt))
-        if own == theirs:
-            return lambda xy: xy
-        there = transformer_between(theirs, own)
-        return lambda xy: np.stack(there.transform(xy[..., 0], xy[..., 1])[:2], axis=-1)
+    def _way(self, crs_wkt: str) -> tuple[Way, str]:
+        return way_between(crs_wkt, self._site.frame.horizontal)
 
 
 def _nodes(window: Window, step: int) -> Array:
@@ -137,6 +149,14 @@ def _nodes(window: Window, step: int) -> Array:
 
     col, row, width, height = window
     return node_positions(GridWindow(col=col, row=row, width=width, height=height), step)
+
+
+def _middle(p_enu: Array) -> Array:
+    """Of the nodes whose ground is known the one that lies most amid all, shape (3,)."""
+    rows, cols = np.nonzero(np.isfinite(p_enu).all(axis=-1))
+    away = np.hypot(rows - p_enu.shape[0] // 2, cols - p_enu.shape[1] // 2)
+    nearest = int(np.argmin(away))
+    return np.asarray(p_enu[rows[nearest], cols[nearest]])
 
 
 def _gsd(photo: OrientedPhoto, p_enu: Array) -> float:

@@ -34,11 +34,34 @@ class Side:
     sigma: float | None
     project: Project | None = None
 
-    def photos(self) -> SitePhotos | None:
-        """The photos that the mosaic is made of; None if there are none to be had."""
+    def photos(self, name: str, crs_wkt: str) -> tuple[SitePhotos | None, str]:
+        """The photos that the mosaic is made of, and what a user has to know of them.
+
+        Parameters
+        ----------
+        name
+            Of the side, `earlier` or `later`.
+        crs_wkt
+            Of the map that places are given on.
+
+        Returns
+        -------
+        photos
+            None if there are none to be had.
+        doubt
+            One line; empty if there is none.
+        """
+        from georef_gis.errors import GeorefError
         from processing_algorithms.change.photos import SitePhotos
 
-        return None if self.project is None else SitePhotos.of(self.project)
+        if self.project is None:
+            return None, ""
+        try:
+            photos = SitePhotos.of(self.project)
+            doubt = photos.meet(crs_wkt)
+        except GeorefError as error:
+            return None, f"the photos of the {name} date are not asked: {error}"
+        return photos, doubt and f"the photos of the {name} date: {doubt}"
 
 
 def side_of_project(project: Project, given_date: str) -> Side:

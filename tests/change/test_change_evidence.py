@@ -8,8 +8,11 @@ import cv2
 import numpy as np
 import pytest
 from change_cases import Image, Look, Thing, matches, render, truth_shapes
+from numpy.typing import ArrayLike
 
-from georef_gis.geodesy import MapFrame, Origin, map_crs
+from georef_gis.errors import CrsError
+from georef_gis.frames import Array
+from georef_gis.geodesy import CRS, MapFrame, Origin, map_crs
 from georef_gis.measure.change.detect import Change, Comparison, compare
 from georef_gis.measure.change.evidence import FEW, weigh
 from georef_gis.measure.change.evidence import Look as PhotoLook
@@ -17,10 +20,11 @@ from georef_gis.measure.change.pair import MapPair, common_cells, open_pair
 from georef_gis.model.camera import Camera
 from georef_gis.model.photo import OrientedPhoto, Photo
 from georef_gis.model.pose import Pose
-from georef_gis.model.terrain import FlatTerrain
+from georef_gis.model.terrain import FlatTerrain, Terrain
 from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.reading import Window
 from georef_gis.rasters.resampled import UNMOVED, MapHeader
+from georef_gis.units import US_SURVEY_FOOT
 from processing_algorithms.change.photos import SitePhotos
 from processing_algorithms.site import Site
 
@@ -116,6 +120,26 @@ def test_few_photos_that_explain_nothing_lower_it_a_little(found: Found) -> None
     assert {f.evidence.said for f in _of(after, CAR) if f.evidence} == {"few photos"}
 
 
+class _Later(_Maps):
+    """Photos of the later date that show what its map does."""
+
+    def looks(self, _: MapHeader, window: Window, moved: Transform) -> Iterable[PhotoLook]:
+        for pair in self.pairs:
+            views = pair.seen(moved=moved).read(window)
+            yield PhotoLook(samples=views.later * 150.0, valid=views.valid)
+
+
+def test_many_photos_of_one_date_do_not_make_up_for_few_of_the_other(found: Found) -> None:
+    before, pair, _ = found
+
+    def said(later: int, earlier: int) -> set[str]:
+        after = weigh(before, (_Later([pair] * later), _Maps([pair] * earlier)))
+        return {one.evidence.said for one in _of(after, CAR) if one.evidence}
+
+    assert said(2 * FEW, FEW - 1) == said(FEW - 1, 2 * FEW) == {"few photos"}
+    assert said(FEW, FEW) == {"photos differ"}
+
+
 def test_no_region_is_lost_and_none_becomes_surer(found: Found) -> None:
     before, _, side = found
     after = weigh(before, (None, _Maps([side])))
@@ -150,16 +174,15 @@ def _photo(east: float, path: Path) -> OrientedPhoto:
     return OrientedPhoto(photo=photo, camera=CAMERA, pose=pose)
 
 
-@pytest.fixture
-def site_photos(tmp_path: Path) -> SitePhotos:
+def _site_photos(tmp_path: Path, crs: str, terrain: Terrain | None = None) -> SitePhotos:
     """Two photos, 5 m and 20 m beside the origin, the first a ramp along its columns."""
     ramp = np.broadcast_to(np.linspace(0, 240, 600).round().astype(np.uint8), (400, 600))
     paths = [tmp_path / "near.png", tmp_path / "far.png"]
     for path in paths:
         cv2.imwrite(str(path), np.repeat(ramp[..., None], 3, axis=2))
     photos = {path.name: _photo(x, path) for path, x in zip(paths, (5.0, 20.0), strict=True)}
-    frame = MapFrame(ORIGIN, map_crs("EPSG:32617"))
-    terrain = FlatTerrain(origin=ORIGIN, height_ellipsoidal=280.0)
+    frame = MapFrame(ORIGIN, map_crs(crs))
+    terrain = terrain or FlatTerrain(origin=ORIGIN, height_ellipsoidal=280.0)
     kinds = dict.fromkeys(photos, "adjusted")
     return SitePhotos(
         Site(
@@ -169,11 +192,17 @@ def site_photos(tmp_path: Path) -> SitePhotos:
     )  # fmt: skip
 
 
-def _grid(crs: str) -> MapHeader:
+@pytest.fixture
+def site_photos(tmp_path: Path) -> SitePhotos:
+    return _site_photos(tmp_path, "EPSG:32617")
+
+
+def _grid(crs: str, side: float = 0.2) -> MapHeader:
     """Cells of 0.2 m about the origin, 200 each way."""
     x, y, _ = MapFrame(ORIGIN, map_crs(crs)).map_from_enu(np.zeros(3))
+    transform = (side, 0.0, x - 100.0 * side, 0.0, -side, y + 100.0 * side)
     return MapHeader(
-        name="grid", width=200, height=200, transform=(0.2, 0.0, x - 20.0, 0.0, -0.2, y + 20.0),
+        name="grid", width=200, height=200, transform=transform,
         crs_wkt=map_crs(crs).to_wkt(), epsg=None, dtype="uint8", bands=("",) * 3,
         scales=((1.0, 0.0),) * 3,
     )  # fmt: skip
@@ -190,6 +219,42 @@ def test_photo_is_laid_on_the_ground_that_it_shows(site_photos: SitePhotos, crs:
         # grey values; a pixel is 0.4 of one
         np.testing.assert_allclose(look.samples[9:11, 9:11].mean(), u * 240 / 599, atol=1.0)
         assert look.valid.all()
+
+
+def test_realisations_of_nad83_without_a_grid_between_are_taken_as_one(tmp_path: Path) -> None:
+    photos = _site_photos(tmp_path, "EPSG:26917")
+    # NAD83(2011), four grids of NADCON 5 from NAD83
+    header = _grid("EPSG:6549", side=0.2 / US_SURVEY_FOOT)
+    assert "NAD83(2011)" in photos.meet(header.crs_wkt)
+    near, _ = photos.looks(header, (90, 90, 20, 20), UNMOVED)
+    # as above: 5 m to the east of the middle, 10 px a metre, 0.4 grey values a pixel
+    u = 299.5 + (0.0 - 5.0) * 500.0 / 50.0
+    np.testing.assert_allclose(near.samples[9:11, 9:11].mean(), u * 240 / 599, atol=1.0)
+
+
+def test_datum_that_proj_knows_nothing_of_has_no_way(site_photos: SitePhotos) -> None:
+    with pytest.raises(CrsError, match="no transformation"):
+        site_photos.meet(CRS("+proj=utm +zone=17 +ellps=clrk66 +type=crs").to_wkt())
+
+
+class _HalfTerrain(FlatTerrain):
+    """Ground known to the west of the origin's meridian alone, as at the rim of a DEM."""
+
+    def height_on_map(self, frame: MapFrame, xy_map: ArrayLike) -> Array:
+        heights = super().height_on_map(frame, xy_map)
+        rim = frame.map_from_enu(np.zeros(3))[0]
+        return np.where(np.asarray(xy_map)[..., 0] < rim, heights, np.nan)
+
+
+def test_photo_is_asked_where_a_window_reaches_beyond_the_ground(tmp_path: Path) -> None:
+    ground = _HalfTerrain(origin=ORIGIN, height_ellipsoidal=280.0)
+    header = _grid("EPSG:32617")
+    whole, _ = _site_photos(tmp_path, "EPSG:32617").looks(header, (80, 80, 40, 40), UNMOVED)
+    half, _ = _site_photos(tmp_path, "EPSG:32617", ground).looks(header, (80, 80, 40, 40), UNMOVED)
+    # a mesh of four cells: within one of the rim nothing is known
+    assert half.valid[:, :14].all()
+    assert not half.valid[:, 22:].any()
+    np.testing.assert_array_equal(half.samples[:, :14], whole.samples[:, :14])
 
 
 def test_photo_is_laid_where_its_map_was_moved_to(site_photos: SitePhotos) -> None:

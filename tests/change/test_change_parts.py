@@ -1,18 +1,24 @@
 """Parts of the comparison: confidence, regions, outlines, notes of large grids."""
 
+import os
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from change_cases import Image, Look, render
+import rasterio
+from change_cases import CRS, LEFT, TOP, Image, Look, render
+from rasterio.warp import transform_bounds
 
 from georef_gis.errors import ExportError
 from georef_gis.measure.change import cell_map
 from georef_gis.measure.change.candidates import join
 from georef_gis.measure.change.cell_map import average_map, work_folder
 from georef_gis.measure.change.confidence import MOST, fit_mixture
+from georef_gis.measure.change.extent import cells_of
+from georef_gis.measure.change.layer import write_geopackage
 from georef_gis.measure.change.outline import outline
-from georef_gis.measure.change.pair import common_cells
+from georef_gis.measure.change.pair import common_cells, open_pair
 from georef_gis.measure.change.shown import Shown
 from georef_gis.measure.change.unrest import Unrest
 from georef_gis.rasters.resampled import MapHeader, open_bands_on
@@ -138,7 +144,8 @@ def test_map_is_kept_on_cells_as_it_is_read_there(site: Image, tmp_path: Path) -
     path = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
     header = common_cells(path, path, 0.1).header
     moved = (1.0, 0.0, 3.4, 0.0, 1.0, -2.3)
-    kept = average_map(path, header, tmp_path / "kept", margin=7, placed=moved)
+    area = (-7, -7, header.width + 14, header.height + 14)
+    kept = average_map(path, header, tmp_path / "kept", area=area, placed=moved)
     window = (40, 50, 60, 30)
     with open_bands_on(path, header, moved=moved) as bands:
         samples, valid = bands.read(window, [1, 2, 3])
@@ -156,6 +163,73 @@ def test_work_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("crs", ["EPSG:32617", "EPSG:26917", "EPSG:32616"])
+def test_room_for_a_shift_ends_with_the_map(site: Image, tmp_path: Path, crs: str) -> None:
+    later = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
+    header = common_cells(later, later, 0.1).header
+    left, _, right, top = transform_bounds(CRS, crs, LEFT, TOP - 26.0, LEFT + 26.0, TOP)
+    earlier = tmp_path / "other.tif"
+    with rasterio.open(
+        earlier, "w", driver="GTiff", width=100, height=200, count=1, dtype="uint8", crs=crs,
+        transform=rasterio.Affine((right - left) / 100, 0, left, 0, -0.2, top),
+    ) as file:  # fmt: skip
+        file.write(np.full((1, 200, 100), 9, np.uint8))
+    col, row, width, height = cells_of(earlier, header, margin=100)
+    # cells of 0.1 m: maps of another zone lie turned by 0.07 on each other
+    turned = 30 if crs == "EPSG:32616" else 0
+    assert -10 - turned <= col < 0
+    assert -10 - turned <= row < 0
+    assert width <= header.width + 20 + 3 * turned
+    # the map ends 14 m beyond the grid
+    assert row + height == header.height + 100
+
+
+def test_grid_cut_to_the_map_shows_the_same(site: Image, tmp_path: Path) -> None:
+    later = render(tmp_path / "one.tif", site, Look(), np.random.default_rng(0))
+    earlier = render(tmp_path / "two.tif", site, Look(origin=(3.0, 2.0)), np.random.default_rng(1))
+    cells = common_cells(later, earlier, 0.1)
+    window, inside = (-40, -30, 400, 350), (10, 10, 150, 200)
+    wider = (-110, -110, cells.header.width + 220, cells.header.height + 220)
+    with open_pair(later, earlier, cells, most=10.0) as pair:
+        assert pair.earlier.shape[0] < cells.header.height + 40 < wider[3] - 100
+        shown, values = pair.earlier.read(window)[1], pair.earlier.read(inside)[0]
+    wide = average_map(earlier, cells.header, tmp_path / "wide", area=wider)
+    np.testing.assert_array_equal(shown, wide.read(window)[1])
+    grid = average_map(earlier, cells.header, tmp_path / "grid")
+    # grey values; blocks are warped apart from each other
+    np.testing.assert_allclose(values.astype(float), grid.read(inside)[0], atol=1.0)
+
+
+def test_files_that_a_killed_comparison_left_are_removed(tmp_path: Path) -> None:
+    names = ("dead", "starting", "unlocked", "unlocked_old")
+    dead, starting, unlocked, unlocked_old = (tmp_path / f"change_{name}" for name in names)
+    for folder in (dead, starting, unlocked, unlocked_old):
+        folder.mkdir()
+        (folder / "later.samples").write_bytes(b"x")
+    for folder in (dead, starting):
+        (folder / cell_map._LOCK).touch()
+    with work_folder(tmp_path) as living:
+        hour, days = (time.time() - past for past in (3600.0, 200_000.0))
+        for folder, at in ((dead, hour), (unlocked, hour), (unlocked_old, days), (living, days)):
+            os.utime(folder, (at, at))
+        with work_folder(tmp_path):
+            left = [folder for folder in (dead, unlocked_old) if folder.exists()]
+            assert left == []
+            assert all(folder.is_dir() for folder in (starting, unlocked, living))
+    assert not living.exists()
+
+
+def test_layer_that_cannot_be_written_leaves_the_old_one_its_journal(tmp_path: Path) -> None:
+    target, journal = tmp_path / "old.gpkg", tmp_path / "old.gpkg-wal"
+    # a folder, which no file takes the place of
+    target.mkdir()
+    journal.write_bytes(b"what a GIS did last")
+    with pytest.raises(ExportError, match="cannot be written"):
+        write_geopackage(target, [], "")
+    assert journal.read_bytes() == b"what a GIS did last"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.gpkg", "old.gpkg-wal"]
+
+
 def test_full_disk_is_one_line(
     site: Image, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -166,5 +240,5 @@ def test_full_disk_is_one_line(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(cell_map, "_strip", full)
-    with pytest.raises(ExportError, match=r"\d MB or more.*No space.*--cell"):
+    with pytest.raises(ExportError, match=r"\d MB or more.*No space.*--cell.*--max-shift"):
         average_map(path, header, tmp_path / "kept")

@@ -14,6 +14,7 @@ import pytest
 import rasterio
 from change_cases import CRS, LEFT, TOP, Image, Look, Thing, compared, render
 
+from georef_gis.errors import InputError
 from georef_gis.project import Project
 from processing_algorithms.change.photos import SitePhotos
 
@@ -149,6 +150,9 @@ class _Blind:
         self.asked, self.name = asked, name
         self.lost = {"IMG_1.jpg": "no such file"}
 
+    def meet(self, _: str) -> str:
+        return ""
+
     def looks(self, *_: object) -> list[object]:
         self.asked.append(self.name)
         return []
@@ -182,6 +186,20 @@ def test_photos_of_maps_given_as_files_are_not_asked(
     result = run(paths[0], "--later", copy, "--target", tmp_path / "files.gpkg")
     assert asked == []
     assert "lean another way" in result.line("no photos were asked")
+
+
+def test_photos_of_a_date_that_cannot_be_had_are_told_with_the_reason(
+    run: Run, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def of(project: Project) -> _Blind:
+        if project.folder.name == "then":
+            raise InputError("no such file", source="dem.tif")
+        return _Blind([], "now")
+
+    monkeypatch.setattr(SitePhotos, "of", of)
+    result = run("--earlier-project", made / "then", "--target", tmp_path / "told.gpkg")
+    assert result.code == 0
+    assert "dem.tif: no such file" in result.line("photos of the earlier date")
 
 
 def test_files_of_the_comparison_are_gone_in_the_end(

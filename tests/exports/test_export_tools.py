@@ -157,6 +157,22 @@ def test_cog_of_the_project(project):
         target.unlink()
 
 
+@pytest.mark.parametrize(("name", "layer", "target", "driver"), [
+    ("cog", "mosaic", "M.TIFF", "GTiff"), ("geojson", "photos", "a.json", "GeoJSON"),
+])  # fmt: skip
+def test_other_suffix_of_the_same_format_is_taken(project, tmp_path, name, layer, target, driver):
+    written = export(project, name, layer=layer, target=str(tmp_path / target))
+    assert written == tmp_path / target
+    if name == "cog":
+        with rasterio.open(written) as ds:
+            assert ds.driver == driver
+    else:
+        assert pyogrio.read_info(written)["driver"] == driver
+    (spec,) = [one for one in tool_of(TOOLS[name]).Parameters.specs() if one.name == "target"]
+    # the first is that of the default
+    assert spec.manifest()["suffixes"] == [TOOLS[name].suffix, written.suffix.lower()]
+
+
 @pytest.mark.parametrize("compression", ["keep", "zstd"])
 def test_cog_says_how_accurate_the_mosaic_is(project, compression):
     told = json.loads(STATEMENT)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sqlite3
 import sys
+import time
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -112,7 +114,7 @@ def test_half_written_older_file_is_replaced(project, monkeypatch, tmp_path, nam
     use(monkeypatch, cases.format_site(tmp_path))
     target = tmp_path / f"out{FILES[name]}"
     export(project, name, target)
-    part = target.with_name(f".{target.stem}.part{target.suffix}")
+    part, other = (target.with_name(f".{target.stem}.{k}.part{target.suffix}") for k in (7, 8))
     if target.is_dir():
         # a folder of ours of which another program, or a broken disk, left rubbish
         for path in target.iterdir():
@@ -120,11 +122,16 @@ def test_half_written_older_file_is_replaced(project, monkeypatch, tmp_path, nam
                 path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
         part.mkdir()
         (part / "rest.shp").write_bytes(b"half")
+        other.mkdir()
     else:
         target.write_bytes(target.read_bytes()[:1000])
         part.write_bytes(b"half")
+        other.write_bytes(b"half")
+    # two days ago, and now by another process
+    os.utime(part, (time.time() - 172_800.0,) * 2)
     export(project, name, target)
     assert not part.exists()
+    assert other.exists()
     fresh = tmp_path / f"fresh{FILES[name]}"
     export(project, name, fresh)
     assert sizes(target) == sizes(fresh)
@@ -191,13 +198,15 @@ def test_geopackage_that_another_program_has_open_is_replaced_as_a_whole(
     again.close()
 
 
-@pytest.mark.parametrize("mode", ["wal", "delete"])
+@pytest.mark.parametrize(
+    ("mode", "name"), [("wal", "out.gpkg"), ("delete", "out.gpkg"), ("wal", "out.GPKG")]
+)
 def test_journal_of_the_older_file_is_not_played_into_the_new_one(
-    project, monkeypatch, tmp_path, mode
+    project, monkeypatch, tmp_path, mode, name
 ) -> None:
     """SQLite knows journals by their names: those of a GIS that has the old file open, too."""
     use(monkeypatch, cases.format_site(tmp_path))
-    target = tmp_path / "out.gpkg"
+    target = tmp_path / name
     export(project, "geopackage", target)
     with closing(sqlite3.connect(target, isolation_level=None)) as gis:
         gis.execute(f"PRAGMA journal_mode = {mode}")
@@ -207,7 +216,7 @@ def test_journal_of_the_older_file_is_not_played_into_the_new_one(
         gis.execute("CREATE TABLE edit AS SELECT randomblob(9000) FROM asset_points")
         gis.execute("COMMIT" if mode == "wal" else "SELECT 1")
         export(project, "geopackage", target)
-        assert [p.name for p in tmp_path.iterdir() if p.name.startswith("out")] == ["out.gpkg"]
+        assert [p.name for p in tmp_path.iterdir() if "out" in p.name] == [name]
         with closing(sqlite3.connect(target)) as again:
             assert again.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
             assert "edit" not in {
@@ -216,6 +225,34 @@ def test_journal_of_the_older_file_is_not_played_into_the_new_one(
         # who has it open goes on with that one
         assert gis.execute("SELECT count(*) FROM edit").fetchone() == (13,)
     assert pyogrio.read_info(target, layer="asset_points")["features"] == 13
+
+
+def test_file_that_cannot_be_replaced_keeps_its_journals(project, monkeypatch, tmp_path) -> None:
+    """As on Windows while a GIS has it open: its last edits may be in the journal alone."""
+    use(monkeypatch, cases.format_site(tmp_path))
+    (tmp_path / "open").mkdir()
+    export(project, "geopackage", tmp_path / "open" / "out.gpkg")
+    with closing(sqlite3.connect(tmp_path / "open" / "out.gpkg", isolation_level=None)) as gis:
+        gis.execute("PRAGMA journal_mode = WAL")
+        gis.execute("CREATE TABLE edit AS SELECT 1 AS mine")
+        # what a GIS leaves that is killed
+        for path in (tmp_path / "open").iterdir():
+            shutil.copyfile(path, tmp_path / path.name)
+    target = tmp_path / "out.gpkg"
+    before = sorted(p.name for p in tmp_path.iterdir())
+    real = os.replace
+
+    def refuse(source: Path, place: Path) -> None:
+        if place == target:
+            raise PermissionError(13, "Access is denied")
+        real(source, place)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(ExportError, match=r"cannot be written \(Access is denied\)"):
+        export(project, "geopackage", target)
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
+    with closing(sqlite3.connect(target)) as again:
+        assert again.execute("SELECT mine FROM edit").fetchall() == [(1,)]
 
 
 @pytest.mark.parametrize("name", ["filegdb", "shapefile"])
@@ -275,6 +312,26 @@ def test_geojson_is_cut_at_the_antimeridian(tmp_path) -> None:
     assert points[:, 2] == pytest.approx([50.0, 52.0, 52.0, 54.0], abs=0.02)
     rings = shapely.geometry.shape(area["geometry"]).geoms
     assert all(shapely.is_ccw(one.exterior) for one in rings)
+
+
+def test_area_that_crosses_itself_is_cut_at_the_antimeridian_of_geojson_too(tmp_path) -> None:
+    corners = [[-100, -50, 0], [100, 90, 4], [100, -50, 4], [-100, 10, 0], [-100, -50, 0]]
+    site, frame = cases.make_site(tmp_path), fiji()
+    ring = frame.map_from_enu(np.array(corners, float))
+    table = cases.table("asset_polygons", [ring], [cases.asset(1, "bow tie")])
+    site = replace(site, frame=frame, photos=(), footprints=(), assets=(table,))
+    write_geojson(site, tmp_path / "f.geojson", ("asset_polygons",))
+    (area,) = json.loads((tmp_path / "f.geojson").read_text())["features"]
+    whole = shapely.geometry.shape(area["geometry"])
+    assert whole.geom_type == "MultiPolygon"
+    assert whole.is_valid
+    sides = [part.bounds for part in whole.geoms]
+    # the lobes meet 40 m west of it, so that one of them is cut
+    assert sorted({b[0] > 0.0 for b in sides}) == [False, True]
+    assert len(sides) == 3
+    # the vertices keep their heights
+    z = shapely.get_coordinates(whole, include_z=True)[:, 2]
+    assert (z.min(), z.max()) == pytest.approx((50.0, 54.0), abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["geopackage", "shapefile", "flatgeobuf", "csv"])

@@ -91,6 +91,25 @@ def test_more_files_than_old_readers_of_zip_know_are_told(site, tmp_path, monkey
     assert any("ZIP64" in warning and "max_zoom" in warning for warning in feedback.warnings)
 
 
+def test_a_zip_is_called_plain_only_where_python_sets_no_mark_of_zip64(tmp_path, monkeypatch):
+    """In small: 20 kB for 2 GB, 0.5 kB for the 16 MB that are left free."""
+    assert zipfile.ZIP64_LIMIT + 1 - files.MOST_BYTES == 2**24
+    monkeypatch.setattr(zipfile, "ZIP64_LIMIT", 20_000)
+    monkeypatch.setattr(files, "MOST_BYTES", 19_500)
+    noise = np.random.default_rng(1).bytes(12_000)
+    found = []
+    for size in (8000, 12_000):
+        with files.Spool(tmp_path) as spool:
+            spool.add("a.jpg", noise[:size])
+            spool.add("b.jpg", noise[:1000])
+            # the pictures alone are small enough
+            plain = files.write_zip(tmp_path / "s.kmz", lambda s: s.write(noise[:9000]), spool)
+        with zipfile.ZipFile(tmp_path / "s.kmz") as archive:
+            marked = max(member.extract_version for member in archive.infolist()) == 45
+        found.append((plain, marked))
+    assert found == [(True, False), (False, True)]
+
+
 def test_levels_of_detail_follow_the_pyramid(kmz):
     for name, root in documents(kmz[0]):
         if not name.startswith("mosaic/"):

@@ -13,6 +13,7 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
+import shapely
 from kml_checks import K, documents, faults_of
 from kmz_assets import CLASSES, asset_columns, asset_tables, table_of
 from lxml import etree
@@ -207,6 +208,27 @@ def test_lines_and_areas_are_cut_at_the_180th_meridian(tmp_path):
         wide = (west.bounds[2] - west.bounds[0] + east.bounds[2] - east.bounds[0]) * metres
         # the map's scale, and the sphere for the ellipsoid
         assert wide == pytest.approx({"LineString": 60.0, "Polygon": 20.0}[kind], rel=5e-3)
+
+
+@pytest.mark.parametrize(("corners", "kinds"), [
+    ([[-50, 0], [50, 60], [50, 0], [-50, 20]], {"Polygon"}),
+    ([[-50, 0], [50, 0]], {"LineString"}),
+], ids=["bow tie", "no ground"])  # fmt: skip
+def test_area_that_crosses_itself_is_cut_at_the_180th_meridian_too(tmp_path, corners, kinds):
+    frame = MapFrame(replace(ORIGIN, lon=math.radians(180.0 - 1e-9)), parse_crs("EPSG:32601"))
+    ring = frame.map_from_enu(np.array([[*xy, 0.0] for xy in [*corners, corners[0]]]))
+    area = table_of("asset_polygons", asset_columns(1), [ring])
+    site = replace(make_site(tmp_path), frame=frame, assets=(area,), photos=(), footprints=())
+    write_kml(site, tmp_path / "s.kml", ASSETS)
+    (shape,) = pyogrio.read_dataframe(tmp_path / "s.kml", layer="Assets, areas").geometry
+    assert {part.geom_type for part in shape.geoms} == kinds
+    sides = sorted({part.bounds[0] > 0.0 for part in shape.geoms})
+    assert sides == [False, True]
+    metres = math.cos(ORIGIN.lat) * 111_320.0
+    for east in (True, False):
+        bounds = shapely.union_all([p for p in shape.geoms if (p.bounds[0] > 0.0) == east]).bounds
+        # half of 100 m on each side; the map's scale, and the sphere for the ellipsoid
+        assert (bounds[2] - bounds[0]) * metres == pytest.approx(50.0, rel=5e-3)
 
 
 def test_nothing_to_show_makes_no_folders_and_no_faults(tmp_path):

@@ -51,14 +51,17 @@ def site(tmp_path: Path):
     return cases.format_site(tmp_path)
 
 
-def send(monkeypatch, site, database: str, schema: str, feedback=None, **values):
-    """As the tool does, of this site instead of a project's."""
-    layers = cases.layers_of(site)
+def send(
+    monkeypatch, site, database: str, schema: str, feedback=None, *, layers=(), layer="site",
+    **values,
+):  # fmt: skip
+    """As the tool does, of this site instead of a project's: all its layers, or those given."""
+    layers = layers or cases.layers_of(site)
     monkeypatch.setattr(
         "exports.tables.postgis.chosen_layers", lambda source, options: (site, layers)
     )
     options = PostGisOptions(connection=database, database_schema=schema, **values)
-    source = SimpleNamespace(kind="site", layer="site")
+    source = SimpleNamespace(kind="site" if layer == "site" else "vector", layer=layer)
     return PostGis().send(source, options, feedback or CollectingFeedback())
 
 
@@ -128,10 +131,32 @@ def test_tables_are_replaced_only_when_asked(monkeypatch, site, database, schema
     ):
         send(monkeypatch, site, database, schema)
     fewer = replace(site, assets=site.assets[:1])
-    send(monkeypatch, fewer, database, schema, overwrite=True)
+    report = send(monkeypatch, fewer, database, schema, overwrite=True)
     assert query(database, f"SELECT count(*) FROM {schema}.asset_points") == [(13,)]
     # lines that the project no longer has would be taken for some of today
     assert "asset_lines" not in tables(database, schema)
+    assert (
+        f"table {schema}.asset_lines of an earlier export was removed: its layer has no features "
+        "now" in report.warnings
+    )
+
+
+@pytest.mark.parametrize(("layer", "values"), [
+    ("photos", {}), ("site", {"tie_points": False})
+], ids=["layer", "option"])  # fmt: skip
+def test_table_of_a_layer_that_is_not_asked_for_stays(
+    monkeypatch, site, database, schema, layer, values
+) -> None:
+    send(monkeypatch, site, database, schema)
+    ties = replace(site.layers["asset_points"], name="tie_points")
+    send(monkeypatch, site, database, schema, layers=[ties], layer="tie_points")
+    before = tables(database, schema)
+    layers = [site.layers["photos"]] if layer == "photos" else cases.layers_of(site)
+    report = send(
+        monkeypatch, site, database, schema, layers=layers, layer=layer, overwrite=True, **values
+    )
+    assert tables(database, schema) == before
+    assert not any("removed" in told for told in report.warnings)
 
 
 def test_table_of_others_is_kept_where_the_project_has_no_such_layer(

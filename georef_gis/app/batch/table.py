@@ -6,7 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from html import escape
@@ -16,7 +16,7 @@ from urllib.parse import quote
 
 from georef_gis.app.batch.process import Outcome
 from georef_gis.errors import ExportError, GeorefError
-from georef_gis.project.geopackage import forget_journals
+from georef_gis.project.geopackage import journals_aside
 from georef_gis.project.spreadsheet import guarded
 from georef_gis.project.summary import SiteSummary
 from georef_gis.project.summary_layer import write_summary_layer
@@ -108,9 +108,8 @@ def write_tables(rows: Sequence[Row], folder: Path) -> list[Path]:
         part = folder / f".{os.getpid()}.{name}.part"
         try:
             _write(name, rows, part)
-            if name == LAYER:
-                forget_journals(folder / name)
-            os.replace(part, folder / name)
+            with journals_aside(folder / name) if name == LAYER else nullcontext():
+                os.replace(part, folder / name)
         except (OSError, GeorefError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             refused.append(f"{folder / name}: cannot be written ({reason})")

@@ -5,9 +5,12 @@ Windows of a map that is warped as it is read cost as much again with every pass
 
 from __future__ import annotations
 
+import shutil
+import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import ExportError
+from georef_gis.rasters.files import lock
 from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.reading import Window
 from georef_gis.rasters.resampled import UNMOVED, Bands, MapHeader, open_bands_on
@@ -24,6 +28,10 @@ from georef_gis.rasters.resampled import UNMOVED, Bands, MapHeader, open_bands_o
 _BLOCK = 1024
 # bands that are compared where a map has so many, else the first
 _COLOURS = 3
+# folders of files of a comparison, and the file in one that is locked while it is in use
+_PREFIX, _LOCK = "change_", "in_use"
+# s; a folder younger than this may not be locked yet, one older than a day without a lock was never
+_YOUNG, _OLD = 60.0, 86_400.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +49,8 @@ class CellMap:
         Of the samples.
     shape
         Rows, columns, bands.
-    margin
-        Cells about the grid that are kept too.
+    start
+        Column and row of the grid that the first cell kept is at; negative outside of it.
     placed
         Cell of the grid, (0, 0) = outer corner -> cell where the map, placed as it says, shows what
         is kept for it.
@@ -53,7 +61,7 @@ class CellMap:
     shown: Path
     dtype: str
     shape: tuple[int, int, int]
-    margin: int
+    start: tuple[int, int]
     placed: Transform
 
     def read(self, window: Window) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -66,7 +74,7 @@ class CellMap:
             (np.memmap(self.samples, self.dtype, "r", shape=self.shape), samples),
             (np.memmap(self.shown, np.bool_, "r", shape=self.shape[:2]), valid),
         )
-        c0, r0 = col + self.margin, row + self.margin
+        c0, r0 = col - self.start[0], row - self.start[1]
         left, top = max(c0, 0), max(r0, 0)
         right, bottom = min(c0 + width, self.shape[1]), min(r0 + height, self.shape[0])
         if left < right and top < bottom:
@@ -81,8 +89,8 @@ def band_numbers(header: MapHeader) -> list[int]:
 
 
 def average_map(
-    path: Path, header: MapHeader, target: Path, *, margin: int = 0, placed: Transform = UNMOVED,
-    step: Callable[[float], None] = lambda _: None,
+    path: Path, header: MapHeader, target: Path, *, area: Window | None = None,
+    placed: Transform = UNMOVED, step: Callable[[float], None] = lambda _: None,
 ) -> CellMap:  # fmt: skip
     """Average a map onto the cells of a grid.
 
@@ -92,8 +100,8 @@ def average_map(
         Of the grid.
     target
         Path of the files to write, less their endings.
-    margin
-        Cells about the grid that are kept too.
+    area
+        Cells that are kept, which may lie outside of the grid; by default the grid.
     placed
         Cell of the grid -> cell where the map shows what is to be kept for it.
     step
@@ -106,26 +114,27 @@ def average_map(
     ExportError
         If the disk is full.
     """
-    wide = _wider(header, margin)
+    area = area or (0, 0, header.width, header.height)
+    part = part_of(header, area)
     files = target.with_suffix(".samples"), target.with_suffix(".shown")
-    with open_bands_on(path, wide, moved=_of_wider(placed, margin)) as bands:
+    with open_bands_on(path, part, moved=_of_part(placed, area)) as bands:
         numbers = band_numbers(bands.header)
-        shape = (wide.height, wide.width, len(numbers))
+        shape = (part.height, part.width, len(numbers))
         # written, not mapped: a full disk is an error then, and not the end of the process
         with (
             _disk_errors(target.parent, shape),
             files[0].open("wb") as one,
             files[1].open("wb") as two,
         ):
-            for row in range(0, wide.height, _BLOCK):
+            for row in range(0, part.height, _BLOCK):
                 values, valid = _strip(bands, numbers, row)
                 one.write(values.tobytes())
                 two.write(valid.tobytes())
-                step(min(1.0, (row + _BLOCK) / wide.height))
+                step(min(1.0, (row + _BLOCK) / part.height))
         name, dtype = bands.header.name, bands.header.dtype
     return CellMap(
-        name=name, samples=files[0], shown=files[1], dtype=dtype, shape=shape, margin=margin,
-        placed=placed,
+        name=name, samples=files[0], shown=files[1], dtype=dtype, shape=shape,
+        start=area[:2], placed=placed,
     )  # fmt: skip
 
 
@@ -149,15 +158,43 @@ def work_folder(parent: Path | None) -> Iterator[Path]:
     ExportError
         If it cannot be made.
     """
+    if parent is not None:
+        _remove_stale(parent)
     try:
-        folder = tempfile.TemporaryDirectory(prefix="change_", dir=parent)
+        folder = tempfile.TemporaryDirectory(prefix=_PREFIX, dir=parent)
     except OSError as error:
         raise ExportError(
             f"{parent or tempfile.gettempdir()}: no files can be made there ({error.strerror}); "
             "check the permission and the free space"
         ) from error
-    with folder as name:
+    with folder as name, (Path(name) / _LOCK).open("wb") as held:
+        # some disks of a network know no locks: there the files of a killed run stay
+        with suppress(OSError):
+            lock(held)
         yield Path(name)
+
+
+def _remove_stale(parent: Path) -> None:
+    """Remove what killed comparisons left; the folders of living ones are locked."""
+    for folder in parent.glob(f"{_PREFIX}*"):
+        held = folder / _LOCK
+        with suppress(OSError):
+            age, locks = time.time() - folder.stat().st_mtime, held.is_file()
+            if age < (_YOUNG if locks else _OLD):
+                continue
+            if locks:
+                _refuse_living(held)
+            shutil.rmtree(folder)
+
+
+def _refuse_living(held: Path) -> None:
+    """Raise OSError if a process holds the lock."""
+    if sys.platform == "win32":
+        # an open file cannot be removed there, which is lock enough
+        held.unlink()
+        return
+    with held.open("rb") as stream:
+        lock(stream)
 
 
 @contextmanager
@@ -168,19 +205,22 @@ def _disk_errors(folder: Path, shape: tuple[int, int, int]) -> Iterator[None]:
         size = shape[0] * shape[1] * (shape[2] + 1) / 1e6
         raise ExportError(
             f"{folder}: files of the comparison, {size:.0f} MB or more, cannot be written "
-            f"({error.strerror}); make room, or give a larger --cell"
+            f"({error.strerror}); make room, give a larger --cell or a smaller --max-shift"
         ) from error
 
 
-def _of_wider(placed: Transform, margin: int) -> Transform:
-    """The same on a grid with so many cells more about it."""
+def _of_part(placed: Transform, area: Window) -> Transform:
+    """The same on the grid of some cells alone."""
     a, b, c, d, e, f = placed
-    return a, b, c + margin * (1.0 - a - b), d, e, f + margin * (1.0 - d - e)
+    col, row = area[:2]
+    return a, b, c + a * col + b * row - col, d, e, f + d * col + e * row - row
 
 
-def _wider(header: MapHeader, margin: int) -> MapHeader:
+def part_of(header: MapHeader, area: Window) -> MapHeader:
+    """The grid of some cells alone."""
+    col, row, width, height = area
     a, b, left, d, e, top = header.transform
     return replace(
-        header, width=header.width + 2 * margin, height=header.height + 2 * margin,
-        transform=(a, b, left - margin * a, d, e, top - margin * e),
+        header, width=width, height=height,
+        transform=(a, b, left + col * a, d, e, top + row * e),
     )  # fmt: skip

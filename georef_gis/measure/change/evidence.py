@@ -132,10 +132,13 @@ def _weighed(found: Comparison, change: Change, evidence: Evidence | None) -> Ch
     )
 
 
-def _said(judged: Judged, dates: int, count: int, least: float) -> Evidence:
+def _said(judged: Judged, counts: Sequence[int], least: float) -> Evidence:
+    """What photos say that leave so much of a score; `counts` of each date that is asked."""
+    photos = sum(counts)
     if least < (1.0 - _EXPLAINED) * judged.score:
-        return Evidence(said=AGREE, photos=count, score=least)
-    return Evidence(said=FEW_PHOTOS if count < FEW * dates else DIFFER, photos=count, score=least)
+        return Evidence(said=AGREE, photos=photos, score=least)
+    said = FEW_PHOTOS if min(counts) < FEW else DIFFER
+    return Evidence(said=said, photos=photos, score=least)
 
 
 def _evidence(
@@ -150,20 +153,21 @@ def _evidence(
     mask = judged.outline.mask
     kernel = np.ones((2 * _OWN + 1,) * 2, np.uint8)
     around = (cv2.dilate(mask.astype(np.uint8), kernel) == 0) & views.valid
-    count, least, dates = 0, float("inf"), sum(some is not None for some in photos)
+    counts, least = [], float("inf")
     for side, some in enumerate(photos):
         if some is None:
             continue
+        counts.append(0)
         moved = found.registration.moved if side else UNMOVED
         for look in some.looks(differ.pair.header, window, moved):
             pair = _with_look(differ, views, look, side, (mask, around))
             if pair is None:
                 continue
-            count += 1
+            counts[-1] += 1
             least = min(least, _score(differ, found, change, pair, window))
             if least < found.deviations.threshold:
-                return _said(judged, dates, count, least)
-    return _said(judged, dates, count, least)
+                return _said(judged, counts, least)
+    return _said(judged, counts, least)
 
 
 def _with_look(

@@ -111,8 +111,8 @@ def write_geopackage(path: Path, rows: Sequence[ChangeRow], crs_wkt: str) -> Non
             connection.execute("BEGIN")
             _fill(connection, rows, crs_wkt)
             connection.execute("COMMIT")
-        geopackage.forget_journals(path)
-        os.replace(part, path)
+        with geopackage.journals_aside(path):
+            os.replace(part, path)
     except (sqlite3.Error, OSError) as error:
         raise ExportError(
             f"{path}: cannot be written ({error}); check the permission and the free space"

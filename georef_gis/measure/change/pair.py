@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from georef_gis.errors import CrsError, GeometryError, InputError
 from georef_gis.geodesy import CRS, metres_per_unit
 from georef_gis.measure.change.cell_map import CellMap, average_map, band_numbers, work_folder
+from georef_gis.measure.change.extent import cells_of
 from georef_gis.rasters.profile import Transform
 from georef_gis.rasters.reading import Window
 from georef_gis.rasters.resampled import UNMOVED, MapHeader, coarse_valid, open_bands
@@ -324,11 +325,11 @@ def open_pair(
     ExportError
         If the files cannot be written.
     """
-    margin = math.ceil(most / cells.metres) + _RIM
+    area = cells_of(earlier, cells.header, margin=math.ceil(most / cells.metres) + _RIM)
     with work_folder(work) as folder:
         first = average_map(later, cells.header, folder / "later", step=lambda part: step(part / 2))
         second = average_map(
-            earlier, cells.header, folder / "earlier", margin=margin,
+            earlier, cells.header, folder / "earlier", area=area,
             step=lambda part: step(0.5 + part / 2),
         )  # fmt: skip
         # of the files, so that grids of any cell have the same
