@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from exports.tiles.options import TileOptions
 from exports.tiles.raster_source import raster_of
@@ -16,17 +16,11 @@ if TYPE_CHECKING:
 
     from exports.tiles.web_picture import WebPicture
     from exports.tiles.web_plan import TileSet
+    from exports.tiles.web_walk import TileSink
     from georef_gis.geodesy import MapFrame
 
 
-class TileSink(Protocol):
-    """Where tiles go; rows count from the north (XYZ)."""
-
-    def put(self, zoom: int, x: int, y: int, data: bytes) -> None:
-        """Take one tile; each comes once, those of a zoom in no order."""
-
-
-SinkOf = Callable[["TileSet"], AbstractContextManager[TileSink]]
+SinkOf = Callable[["TileSet"], AbstractContextManager["TileSink"]]
 
 
 def write_tiles(

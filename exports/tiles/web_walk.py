@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from exports.tiles.quad_tiles import mean_of_children, quarter
 from exports.tiles.web_mercator import WORLD, pixel_size, tile_corner
@@ -16,12 +16,18 @@ if TYPE_CHECKING:
     from exports.tiles.web_encoding import Encode
     from exports.tiles.web_picture import WebPicture
     from exports.tiles.web_plan import TileSet
-    from exports.tiles.web_tiles import TileSink
 
 # px; warped at once: of smaller blocks the rims would be read twice too often
 BLOCK = 1024
 # Pixels of the best overview per pixel of a tile above which bilinear sampling leaves some out.
 COARSEST = 1.5
+
+
+class TileSink(Protocol):
+    """Where tiles go; rows count from the north (XYZ)."""
+
+    def put(self, zoom: int, x: int, y: int, data: bytes) -> None:
+        """Take one tile; each comes once, those of a zoom in no order."""
 
 
 @dataclass(kw_only=True)
