@@ -14,10 +14,10 @@ import numpy as np
 
 from exports.metadata.checksums import checksum
 from exports.metadata.products import Product, number_of, start_of, steps_before, tool_id
-from exports.site.accuracy import STATEMENT
+from exports.site.accuracy import STATEMENT, main_assessment, read_statement
 from exports.site.reader import read_accuracy
 from exports.tables.geojson_features import bounds_of
-from georef_gis.errors import CrsError, ExportError
+from georef_gis.errors import CrsError
 from georef_gis.geodesy import CRS, parse_crs, same_crs
 from georef_gis.units import utc_from_gps
 
@@ -190,7 +190,7 @@ class SiteFacts:
         """Statement of the products as they are now; None if there is none of these."""
         items, _ = read_accuracy(self.project)
         path = self.project.products / STATEMENT
-        return _accuracy(path) if items else None
+        return read_statement(path, _accuracy) if items else None
 
     def product(self, product: Product) -> ProductFacts:
         """All that is said of one product."""
@@ -334,32 +334,21 @@ def _doubts(product: Product) -> tuple[str, ...]:
     return out
 
 
-def _accuracy(path: Path) -> Accuracy:
-    """Statement of a file of the tool `accuracy`.
-
-    Raises
-    ------
-    ExportError
-        If it cannot be read.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        kinds = [kind for kind in data["assessments"] if kind != "intersections"]
-        main = data["assessments"][(kinds or list(data["assessments"]))[0]]
-        on = main.get("measured_on") or {}
-        return Accuracy(
-            standard=str(data["standard"]),
-            statements=tuple(str(line) for line in data["statement"]),
-            tested=tuple(_tested(c) for c in main["components"] if c["n"] and "statement" in c),
-            axes={
-                name: Axis(mean=a["mean"], sd=a["sd"], rmse=a["rmse"], points=a["n"])
-                for name, a in main["axes"].items()
-                if a["n"]
-            },
-            measured_on=", ".join(f"{what}: {text}" for what, text in on.items()),
-        )
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise ExportError(f"{path}: cannot be read ({error}); run `georef accuracy`") from error
+def _accuracy(data: Mapping[str, Any]) -> Accuracy:
+    """Statement of the tool `accuracy`."""
+    main = main_assessment(data)
+    on = main.get("measured_on") or {}
+    return Accuracy(
+        standard=str(data["standard"]),
+        statements=tuple(str(line) for line in data["statement"]),
+        tested=tuple(_tested(c) for c in main["components"] if c["n"] and "statement" in c),
+        axes={
+            name: Axis(mean=a["mean"], sd=a["sd"], rmse=a["rmse"], points=a["n"])
+            for name, a in main["axes"].items()
+            if a["n"]
+        },
+        measured_on=", ".join(f"{what}: {text}" for what, text in on.items()),
+    )
 
 
 def _tested(c: Mapping[str, Any]) -> Tested:

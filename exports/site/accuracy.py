@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from georef_gis.errors import ExportError
 
 # As the tool `accuracy` writes it among the products.
 STATEMENT = "accuracy.json"
 FORMAT = "georef_gis accuracy 1"
+
+T = TypeVar("T")
 
 
 def items_of_file(path: Path) -> dict[str, str]:
@@ -22,20 +24,37 @@ def items_of_file(path: Path) -> dict[str, str]:
     ExportError
         If it cannot be read.
     """
+    return read_statement(path, accuracy_items)
+
+
+def read_statement(path: Path, take: Callable[[Mapping[str, Any]], T]) -> T:
+    """What is taken from the statement in a file.
+
+    Raises
+    ------
+    ExportError
+        If it cannot be read, or lacks what is taken.
+    """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         if data["format"] != FORMAT:
             raise ExportError(f"{path}: is of format {data['format']!r}; run `georef accuracy`")
-        return accuracy_items(data)
+        return take(data)
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise ExportError(f"{path}: cannot be read ({error}); run `georef accuracy`") from error
 
 
+def main_assessment(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The assessment that speaks for the products: space intersections alone are no data set."""
+    assessments: Mapping[str, Any] = data["assessments"]
+    kinds = [kind for kind in assessments if kind != "intersections"] or list(assessments)
+    main: Mapping[str, Any] = assessments[kinds[0]]
+    return main
+
+
 def accuracy_items(data: Mapping[str, Any]) -> dict[str, str]:
     """Short keys and values of one line, as the statement of the products has them."""
-    assessments = data["assessments"]
-    kinds = [kind for kind in assessments if kind != "intersections"] or list(assessments)
-    main = assessments[kinds[0]]
+    main = main_assessment(data)
     out = {"ACCURACY_STANDARD": str(data["standard"])}
     for c in main["components"]:
         # space intersections are no data set: no statement is made of them

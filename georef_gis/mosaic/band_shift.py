@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from georef_gis.errors import GeometryError
-from georef_gis.rasters.edge_shift import agreeing, edge_shift
+from georef_gis.rasters.edge_shift import agreeing
 from georef_gis.rasters.profile import Transform
 
 Image = NDArray[Any]
@@ -85,30 +85,6 @@ class BandShift:
         return self.sloped or bool(
             np.hypot(*self.shift) > max(_LEAST_SHIFT, _SIGNIFICANT * self.sigma)
         )
-
-
-def window_shift(
-    first: Image, second: Image, valid: NDArray[np.bool_], *, most: float
-) -> tuple[float, float, float] | None:
-    """Shift of one window.
-
-    Parameters
-    ----------
-    first, second : shape (rows, cols, bands)
-        The same window of both, any number of bands of any type.
-    valid : shape (rows, cols)
-        Where both show the ground.
-    most
-        Largest shift looked for, px.
-
-    Returns
-    -------
-    tuple or None
-        Shift of columns and rows, px, as in `WindowShift`, and the score; None where the window
-        is bland, too empty, repeats itself, or has edges of one direction only.
-    """
-    found = edge_shift(first, second, valid, most=most)
-    return None if found is None else (found.d_col, found.d_row, found.score)
 
 
 def common_shift(windows: Sequence[WindowShift], *, tried: int, most: float) -> BandShift:

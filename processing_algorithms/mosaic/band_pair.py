@@ -10,7 +10,8 @@ import numpy as np
 
 from georef_gis.errors import GeometryError, InputError
 from georef_gis.mosaic.band_math import find_bands, plain_name
-from georef_gis.mosaic.band_shift import BandShift, WindowShift, common_shift, window_shift
+from georef_gis.mosaic.band_shift import BandShift, WindowShift, common_shift
+from georef_gis.rasters.edge_shift import EdgeShift, edge_shift
 from georef_gis.rasters.reading import Window
 from georef_gis.rasters.resampled import Bands, MapHeader, coarse_valid
 from georef_gis.toolbox import Feedback, check_cancelled
@@ -153,7 +154,7 @@ def find_shift(
         others, seen = second.read(window, bands[1])
         tried += 1
         both = np.concatenate([valid, seen], axis=2).all(axis=2)
-        shift = window_shift(pixels, others, np.asarray(both), most=most)
+        shift = edge_shift(pixels, others, np.asarray(both), most=most)
         if shift is not None:
             found.append(_at_middle(window, shift))
         if len(found) == _ENOUGH or tried == _MOST_TRIED:
@@ -167,9 +168,9 @@ def find_shift(
         ) from error
 
 
-def _at_middle(window: Window, shift: tuple[float, float, float]) -> WindowShift:
+def _at_middle(window: Window, shift: EdgeShift) -> WindowShift:
     col, row = window[0] + window[2] / 2.0, window[1] + window[3] / 2.0
-    return WindowShift(col=col, row=row, d_col=shift[0], d_row=shift[1], score=shift[2])
+    return WindowShift(col=col, row=row, d_col=shift.d_col, d_row=shift.d_row, score=shift.score)
 
 
 def _window_side(header: MapHeader, most: float, names: str) -> int:

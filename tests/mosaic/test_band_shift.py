@@ -5,7 +5,8 @@ import pytest
 from band_cases import pair
 
 from georef_gis.errors import GeometryError
-from georef_gis.mosaic.band_shift import WindowShift, common_shift, window_shift
+from georef_gis.mosaic.band_shift import WindowShift, common_shift
+from georef_gis.rasters.edge_shift import edge_shift
 
 ALL = np.ones((256, 256), np.bool_)
 
@@ -17,10 +18,10 @@ ALL = np.ones((256, 256), np.bool_)
 def test_known_shift_is_found_to_a_tenth_of_a_pixel(
     shift: tuple[float, float], contrast: str
 ) -> None:
-    found = window_shift(*pair(shift, contrast=contrast), ALL, most=24.0)
+    found = edge_shift(*pair(shift, contrast=contrast), ALL, most=24.0)
     assert found is not None
     # px; what the task asks for
-    np.testing.assert_allclose(found[:2], shift, atol=0.1)
+    np.testing.assert_allclose((found.d_col, found.d_row), shift, atol=0.1)
 
 
 def test_invalid_part_does_not_pull_the_shift() -> None:
@@ -29,18 +30,18 @@ def test_invalid_part_does_not_pull_the_shift() -> None:
     # a rim that lies at the same place in both, brighter than all else
     valid[:, 200:] = False
     first[:, 200:], second[:, 200:] = 5.0, 5.0
-    found = window_shift(first, second, valid, most=16.0)
+    found = edge_shift(first, second, valid, most=16.0)
     assert found is not None
-    np.testing.assert_allclose(found[:2], (3.25, 1.5), atol=0.1)
+    np.testing.assert_allclose((found.d_col, found.d_row), (3.25, 1.5), atol=0.1)
 
 
 def test_kind_of_numbers_does_not_matter() -> None:
     first, second = pair((2.5, -1.25))
     eight = np.clip(first * 255, 0, 255).astype(np.uint8)
     sixteen = np.clip(second * 65535, 0, 65535).astype(np.uint16)
-    found = window_shift(eight, sixteen, ALL, most=16.0)
+    found = edge_shift(eight, sixteen, ALL, most=16.0)
     assert found is not None
-    np.testing.assert_allclose(found[:2], (2.5, -1.25), atol=0.1)
+    np.testing.assert_allclose((found.d_col, found.d_row), (2.5, -1.25), atol=0.1)
 
 
 def test_window_of_no_use_says_nothing() -> None:
@@ -48,12 +49,12 @@ def test_window_of_no_use_says_nothing() -> None:
     first, second = pair((0.0, 0.0))
     flat = np.full_like(first, 0.5)
     noise = [rng.normal(0.5, 0.01, first.shape) for _ in range(2)]
-    assert window_shift(flat, flat, ALL, most=16.0) is None
-    assert window_shift(first, flat, ALL, most=16.0) is None
-    assert window_shift(noise[0], noise[1], ALL, most=16.0) is None
+    assert edge_shift(flat, flat, ALL, most=16.0) is None
+    assert edge_shift(first, flat, ALL, most=16.0) is None
+    assert edge_shift(noise[0], noise[1], ALL, most=16.0) is None
     few = np.zeros_like(ALL)
     few[:100] = True
-    assert window_shift(first, second, few, most=16.0) is None
+    assert edge_shift(first, second, few, most=16.0) is None
 
 
 def test_straight_edge_alone_says_nothing() -> None:
@@ -61,7 +62,7 @@ def test_straight_edge_alone_says_nothing() -> None:
     rng = np.random.default_rng(1)
     road = np.where(np.arange(256) < 120, 0.2, 0.8)[None, :, None].repeat(256, axis=0)
     first, second = (road + rng.normal(0.0, 0.005, road.shape) for _ in range(2))
-    assert window_shift(first, second, ALL, most=16.0) is None
+    assert edge_shift(first, second, ALL, most=16.0) is None
 
 
 def test_furrows_say_nothing() -> None:
@@ -69,11 +70,11 @@ def test_furrows_say_nothing() -> None:
     rng = np.random.default_rng(1)
     waves = 0.5 + 0.3 * np.sin(2 * np.pi * np.arange(256) / 9.0)[None, :, None].repeat(256, axis=0)
     first, second = (waves + rng.normal(0.0, 0.005, waves.shape) for _ in range(2))
-    assert window_shift(first, second, ALL, most=16.0) is None
+    assert edge_shift(first, second, ALL, most=16.0) is None
 
 
 def test_shift_beyond_the_limit_says_nothing() -> None:
-    assert window_shift(*pair((19.0, 0.0)), ALL, most=10.0) is None
+    assert edge_shift(*pair((19.0, 0.0)), ALL, most=10.0) is None
 
 
 def windows(shifts: np.ndarray, places: np.ndarray | None = None) -> list[WindowShift]:
